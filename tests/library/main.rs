@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod alarm_model;
+mod answers;
 mod circles;
 mod config;
 mod engine;

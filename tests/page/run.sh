@@ -42,4 +42,4 @@ fi
 [ "${1:-}" != --fetch ] || exit 0
 [ -x "$target/debug/stictiond" ] || cargo build --locked --quiet --features full
 export CHROMIUM="$browser" AXE="$axe/node_modules/axe-core/axe.min.js" PYTHONDONTWRITEBYTECODE=1
-exec "$venv/bin/python" -m pytest -c tests/page/pytest.ini "${@:-tests/page}"
+exec "$venv/bin/python" -m pytest -c tests/page/pytest.ini tests/page "$@"

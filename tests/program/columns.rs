@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use crate::common::program::{expect, stdout};
@@ -14,8 +15,16 @@ use stiction_files::archive::{Archive, Reach, Wanted};
 use stiction_files::{RecordingReader, load_samples};
 use stiction_monitor::codec::topic::{self, Kind};
 
-/// The shipped scenario of four loops, with results, in both forms: JSON and columns.
+/// The shipped scenario of four loops, with results, in both forms: JSON and columns. Made once for all tests.
 fn both(dir: &Path) -> [String; 2] {
+    static MADE: OnceLock<[Vec<u8>; 2]> = OnceLock::new();
+    let made = MADE.get_or_init(|| simulated(dir).map(|file| fs::read(file).unwrap()));
+    let files = ["json", "columns"].map(|raw| dir.join(format!("{raw}.mcap")));
+    files.iter().zip(made).for_each(|(file, bytes)| fs::write(file, bytes).unwrap());
+    files.map(|file| file.to_str().unwrap().to_owned())
+}
+
+fn simulated(dir: &Path) -> [String; 2] {
     ["json", "columns"].map(|raw| {
         let (config, out) = (dir.join(format!("{raw}.toml")), dir.join(format!("{raw}.mcap")));
         let text = format!("[site]\nprefix = \"area2\"\n[window]\nhop_s = 600.0\n[recording]\nraw = \"{raw}\"\n");

@@ -98,7 +98,7 @@ impl Site {
     }
 
     fn work(&mut self, most: usize) {
-        self.stage.work(most, |_, request| Some(request.compute().assessment));
+        self.stage.work(most, |_, request| Some(crate::answers::compute(request).assessment));
         for publication in self.stage.published() {
             let unedited = UNEDITED.iter().any(|name| publication.key.contains(&format!("/{name}/")));
             if unedited && matches!(publication.kind, Kind::Estimate | Kind::Alarm) {

@@ -30,7 +30,7 @@ pub fn play(stage: &mut SimDaemon, name: &str, later_ns: i64) {
         encode_recorded(&sample, &mut json);
         stage.deliver(&format!("p/{name}/{}", sample.signal.name()), &json);
         stage.turn();
-        while stage.work(1, |_, request| Some(request.compute().assessment)) > 0 {}
+        while stage.work(1, |_, request| Some(crate::answers::compute(request).assessment)) > 0 {}
         stage.compare();
     }
     stage.record();

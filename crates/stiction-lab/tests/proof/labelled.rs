@@ -1,6 +1,11 @@
 //! The labelled recordings of real loops, read without the program's own readers.
 
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use stiction::record::Record;
+use stiction::units::LoopKind;
+use stiction::verdict::{AssessParams, Assessment, assess};
 use stiction_lab::fixture::boxed;
 
 /// One labelled recording.
@@ -50,6 +55,34 @@ pub const RECORDINGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shar
 /// The same, or a loud word that `test` was skipped for want of them.
 pub fn labelled_or_skip(test: &str) -> Option<Vec<Labelled>> {
     let all = labelled(RECORDINGS);
+    if all.is_empty() {
+        skipped(test, "no labelled recordings in ../shared/data");
+    }
+    (!all.is_empty()).then_some(all)
+}
+
+/// Every recording with what the whole assessment finds in it, given what its loop controls. Assessed once for all tests.
+pub fn assessed_or_skip(test: &str) -> Option<&'static [(Labelled, Assessment)]> {
+    static ALL: OnceLock<Vec<(Labelled, Assessment)>> = OnceLock::new();
+    let all = ALL.get_or_init(|| {
+        let recordings = labelled(RECORDINGS);
+        let next = AtomicUsize::new(0);
+        let found: Vec<OnceLock<Assessment>> = recordings.iter().map(|_| OnceLock::new()).collect();
+        std::thread::scope(|scope| {
+            for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
+                scope.spawn(|| {
+                    loop {
+                        let at = next.fetch_add(1, Ordering::Relaxed);
+                        let Some(item) = recordings.get(at) else { break };
+                        let kind = item.kind.split(' ').next().and_then(LoopKind::from_name).unwrap_or_default();
+                        let params = AssessParams { always_fit: true, kind, ..AssessParams::default() };
+                        found[at].set(assess(&item.record, &params)).unwrap();
+                    }
+                });
+            }
+        });
+        recordings.into_iter().zip(found).map(|(item, found)| (item, found.into_inner().unwrap())).collect()
+    });
     if all.is_empty() {
         skipped(test, "no labelled recordings in ../shared/data");
     }

@@ -6,25 +6,21 @@
 use crate::labelled;
 use std::collections::BTreeMap;
 
-use stiction::verdict::{AssessParams, assess};
-
 /// Right verdicts of the yardstick by source.
 const YARDSTICK: [(&str, usize); 3] = [("isdb", 13), ("plant", 46), ("sacac", 6)];
 
 #[test]
 fn no_source_is_judged_worse_than_by_the_published_method() {
-    let Some(all) = labelled::labelled_or_skip("no_source_is_judged_worse_than_by_the_published_method") else {
+    let Some(all) = labelled::assessed_or_skip("no_source_is_judged_worse_than_by_the_published_method") else {
         return;
     };
-    let params = AssessParams { always_fit: true, ..AssessParams::default() };
     let mut table: BTreeMap<String, [usize; 5]> = BTreeMap::new();
-    for item in &all {
+    for (item, found) in all {
         let sticks = match item.label.as_str() {
             "stiction" | "deadband" => true,
             "no_stiction" | "tuning" | "disturbance" => false,
             _ => continue,
         };
-        let found = assess(&item.record, &params);
         let row = table.entry(item.file.split('/').next().unwrap().to_owned()).or_default();
         row[0] += 1;
         row[1] += usize::from(found.stiction == Some(sticks));

@@ -6,10 +6,9 @@ use crate::labelled;
 
 use stiction::guard::{PV_SPANS, SHIFT_S};
 use stiction::record::Record;
-use stiction::units::LoopKind;
+use stiction::verdict::Assessment;
 use stiction::verdict::bump_test::bump_test;
 use stiction::verdict::words;
-use stiction::verdict::{AssessParams, Assessment, assess};
 
 /// What is wrong with an answer, by bounds that are wider than the program's own and know nothing of its table.
 fn nonsense(a: &Assessment, record: &Record, kind: &str) -> Vec<String> {
@@ -66,14 +65,11 @@ fn nonsense(a: &Assessment, record: &Record, kind: &str) -> Vec<String> {
 #[test]
 fn no_model_that_no_plant_has_is_reported_on_any_recording() {
     let test = "no_model_that_no_plant_has_is_reported_on_any_recording";
-    let Some(all) = labelled::labelled_or_skip(test) else { return };
+    let Some(all) = labelled::assessed_or_skip(test) else { return };
     assert!(all.len() >= 100, "{} recordings only", all.len());
     let mut faults = Vec::new();
-    for item in &all {
-        let kind = LoopKind::from_name(item.kind.split(' ').next().unwrap_or_default()).unwrap_or_default();
-        let params = AssessParams { always_fit: true, kind, ..AssessParams::default() };
-        let found = assess(&item.record, &params);
-        let told = nonsense(&found, &item.record, &item.kind);
+    for (item, found) in all {
+        let told = nonsense(found, &item.record, &item.kind);
         faults.extend(told.into_iter().map(|what| format!("{}: {} {what}", item.file, found.verdict.name())));
     }
     assert!(faults.is_empty(), "{} of {}:\n{}", faults.len(), all.len(), faults.join("\n"));

@@ -91,11 +91,17 @@ export function problem(words, again) {
 
 /** Calls `near` once when a node comes near the screen; returns a function that stops watching. */
 export function whenNear(node, near) {
-  const watch = new IntersectionObserver((entries) => {
-    if (!entries.some((e) => e.isIntersecting)) return;
+  let waits = true;
+  const watch = new IntersectionObserver((entries) => entries.some((e) => e.isIntersecting) && now(), { rootMargin: "300px" });
+  const end = () => {
+    waits = false;
     watch.disconnect();
+  };
+  const now = () => {
+    if (!waits) return;
+    end();
     near();
-  }, { rootMargin: "300px" });
+  };
   watch.observe(node);
-  return () => watch.disconnect();
+  return { now, end };
 }

@@ -32,7 +32,10 @@ export function show(root, { name, live, announce }) {
   const headRoot = h("header", { class: "loop-head" }, skeleton(4));
   const parts = Object.fromEntries(SECTIONS.map(([id, title]) => [id, section(id, title)]));
   document.title = `${name} · stictiond`;
+  const late = {};
+  // What loads above it may move the section away before it was seen.
   const jump = (id) => () => {
+    late[id]?.now();
     parts[id].section.scrollIntoView({ behavior: matchMedia("(prefers-reduced-motion: reduce)").matches ? "auto" : "smooth" });
     parts[id].title.focus({ preventScroll: true });
   };
@@ -65,7 +68,10 @@ export function show(root, { name, live, announce }) {
   ends.push(trend(parts.trend.body, loop));
   why(parts.why.body, loop);
   gap(parts.gap.body, loop);
-  const near = (id, start) => ends.push(whenNear(parts[id].section, start));
+  const near = (id, start) => {
+    late[id] = whenNear(parts[id].section, start);
+    ends.push(late[id].end);
+  };
   near("history", () => ends.push(overTime(parts.history.body, loop)));
   near("repair", () => ends.push(repair(parts.repair.body, loop)));
   near("alarms", () => ends.push(alarms(parts.alarms.body, loop)));
