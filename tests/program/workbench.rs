@@ -175,6 +175,29 @@ fn documents(job: &Value) -> Vec<Value> {
     results.iter().map(|result| timeless(result["document"].clone())).collect()
 }
 
+/// What was shown before the run is what the run analysed.
+fn previewed(bench: &Bench, request: &Value, job: &Value) {
+    let answer = bench.own("POST", &format!("{BASE}/preview"), request.to_string().as_bytes());
+    assert_eq!(answer.status, 200, "{}", answer.text());
+    let sections = answer.json()["sections"].as_array().unwrap().clone();
+    let results = job["results"].as_array().unwrap();
+    let runs = results.len() / sections.len();
+    for (shown, result) in sections.iter().zip(results.iter().step_by(runs)) {
+        let document = &result["document"];
+        assert_eq!((&shown["section"], &shown["s0"]), (&result["section"], &document["s0"]));
+        let points = if document["selection"]["downsample"].is_null() {
+            &shown["before"]["count"]
+        } else {
+            &document["selection"]["downsample"]["points"]
+        };
+        assert_eq!(&shown["after"]["count"], points, "{shown}");
+        assert_eq!(shown["after"]["op"].as_array().unwrap().len(), shown["after"]["t_ms"].as_array().unwrap().len());
+        let map = &result["maps"][0];
+        let [low, high, best] = [&map["fs"][0], &map["fs"][1], &map["least"][0]].map(|v| v.as_f64().unwrap());
+        assert!(low <= best && best <= high && map["s0"].as_f64().unwrap() >= best, "{map}");
+    }
+}
+
 /// A table made of the shipped recording, in a folder of its own.
 fn table(name: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
@@ -206,6 +229,7 @@ fn a_jobs_numbers_report_and_text_are_those_of_the_command_it_tells() {
             assert_eq!(document, &wanted[(k % runs) * sections + k / runs], "{k}");
         }
         assert!(found[0]["s"].is_number(), "{}", found[0]);
+        previewed(&bench, &request, &job);
         let result = &job["results"][0];
         assert!(
             result["text"].as_str().unwrap().contains("my_loop: ") && result["words"].as_array().unwrap().len() > 2

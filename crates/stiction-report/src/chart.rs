@@ -155,7 +155,7 @@ pub fn heat_map(map: &HeatMap<'_>) -> Result<Picture, PlotError> {
         }
         scale(&right, top, height, z, map.z_label)
     })?;
-    picture.note_cells(map.cells, map.z_label);
+    picture.note_cells(map.cells, [map.x_label, map.y_label, map.z_label]);
     Ok(picture)
 }
 

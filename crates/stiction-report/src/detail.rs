@@ -60,6 +60,12 @@ impl Detail {
         })
     }
 
+    /// The suggested region of a map, whole cells: least and largest fs, then fd, OP units.
+    #[must_use]
+    pub fn suggested(map: &ErrorMap) -> [[f64; 2]; 2] {
+        map.region.map(|[low, high]| [(low - 0.5 * map.step).max(0.0), high + 0.5 * map.step])
+    }
+
     /// The map of an order.
     #[must_use]
     pub fn map(&self, order: u8) -> Option<&fit_plots::ErrorMap> {

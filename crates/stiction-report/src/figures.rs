@@ -58,8 +58,9 @@ fn times(record: &Record) -> Vec<f64> {
 /// # Errors
 /// [`PlotError`], where the drawing library refuses.
 pub fn detailed(of: &Subject<'_>) -> Figures {
-    let mut out =
-        vec![Figure { picture: loop_diagram(of.tags), caption: "The loop and its tags.".to_owned(), wide: true }];
+    let recorded = of.original.unwrap_or(of.record);
+    let caption = format!("The loop and its tags. Sampling time {} s.", number(recorded.recorded_ts_s));
+    let mut out = vec![Figure { picture: loop_diagram(of.tags), caption, wide: true }];
     if let Some(original) = of.original {
         let caption = format!("As recorded: {} samples of {} s.", original.raw_samples, number(original.ts_s));
         out.push(Figure {
@@ -266,7 +267,7 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
     for share in STRENGTHS {
         overlays.push(over(vec![bands(share * span, 0.0), bands(share * span, share * span)], Mark::Dashed));
     }
-    let [fs, fd] = map.region.map(|[low, high]| [low - 0.5 * map.step, high + 0.5 * map.step]);
+    let [fs, fd] = Detail::suggested(map);
     let corners = vec![(fs[0], fd[0]), (fs[1], fd[0]), (fs[1], fd[1]), (fs[0], fd[1]), (fs[0], fd[0])];
     overlays.push(Overlay { name: "suggested", points: corners, mark: Mark::Line, ink: Ink::Over });
     let chosen = a.process.as_ref().is_some_and(|p| p.order == map.order);
@@ -308,12 +309,17 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
     let mark = if chosen { " This order was chosen." } else { "" };
     let caption = format!(
         "Free-run error over the bands, order {}: each cell with its best process. Below the line fs + fd = S0 = {}. \
-         Least cell: fs {}, fd {}. Box: cells within a tenth of the way from the least squared error to that without \
-         friction. Grey: the stem moves too seldom for a model.{mark}",
+         Least cell: fs {}, fd {}. Box, the suggested region: fs {} to {}, fd {} to {}. It holds the cells within a \
+         tenth of the way from the least squared error to that without friction. Grey: the stem moves too seldom for a \
+         model.{mark}",
         map.order,
         number(span),
         number(map.best.fs),
         number(map.best.fd),
+        number(fs[0]),
+        number(fs[1]),
+        number(fd[0]),
+        number(fd[1]),
     );
     Ok(Figure { picture, caption, wide: false })
 }
@@ -335,13 +341,23 @@ fn draws(of: &Subject<'_>, detail: &Detail) -> Figures {
             mark: value.map(|v| ("answer", v)),
         })?;
         let caption = format!(
-            "{name} from searches with other seeds (restarts: how many minima the error has), and {name} refitted near the \
-             answer after the residual was resampled in blocks of a period, OP as recorded (resamples: noise and \
-             disturbance). Neither is the 90 % interval."
+            "Blue, resamples: {name} refitted with noise and disturbance drawn anew, {}. The narrower, the surer. Orange, \
+             restarts: {name} where searches with other seeds end, {}. Bars far apart mean several possible answers. The \
+             90 % interval accounts for more and may be wider.",
+            reach(&drawn),
+            reach(&again),
         );
         out.push(Figure { picture, caption, wide: false });
     }
     Ok(out)
+}
+
+/// The least and the greatest of some values in words.
+fn reach(values: &[f64]) -> String {
+    match (values.iter().copied().reduce(f64::min), values.iter().copied().reduce(f64::max)) {
+        (Some(least), Some(most)) => format!("{} to {}", number(least), number(most)),
+        _ => "none".to_owned(),
+    }
 }
 
 fn orders(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {

@@ -11,13 +11,16 @@
     return at.matrixTransform(svg.getScreenCTM().inverse());
   };
   const nearestCell = (svg, x, y) => {
-    const [name, ...cells] = svg.dataset.cells.split(";");
+    const [names, ...cells] = svg.dataset.cells.split(";");
+    const [across, up, value] = names.split("|");
     let best = null;
     for (const cell of cells.map(numbers)) {
       const far = (cell[0] - x) ** 2 + (cell[1] - y) ** 2;
       if (!best || far < best.far) best = { far, cell };
     }
-    return best ? name + " " + show(best.cell[2]) + " at " + show(best.cell[0]) + ", " + show(best.cell[1]) : "";
+    const say = (label, v) => label.split(", ")[0] + " " + show(v);
+    const unit = value.split(", ")[1] || "";
+    return best ? say(across, best.cell[0]) + ", " + say(up, best.cell[1]) + ": " + say(value, best.cell[2]) + " " + unit : "";
   };
   document.addEventListener("pointermove", (event) => {
     const svg = event.target.closest && event.target.closest("svg[data-axes]");

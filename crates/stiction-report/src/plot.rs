@@ -72,9 +72,10 @@ impl Picture {
         self.element(&format!("x=\"{x}\" y=\"{y}\" width=\"{}\" height=\"{}\"", self.width, self.height))
     }
 
-    /// Notes values over a plane for the page's script: the name of the value, then groups of three numbers.
-    pub(super) fn note_cells(&mut self, cells: &[[f64; 3]], name: &str) {
-        let name = maud::html! { (name.replace(';', ",")) }.into_string();
+    /// Notes values over a plane for the page's script: the names of both axes and of the value, then groups of three
+    /// numbers.
+    pub(super) fn note_cells(&mut self, cells: &[[f64; 3]], names: [&str; 3]) {
+        let name = maud::html! { (names.map(|name| name.replace([';', '|'], ",")).join("|")) }.into_string();
         let known = cells.iter().filter(|c| c.iter().all(|v| v.is_finite()));
         let groups: Vec<String> = known.map(|[x, y, z]| format!("{x:.4} {y:.4} {z:.4}")).collect();
         self.cells = format!("{name};{}", groups.join(";"));

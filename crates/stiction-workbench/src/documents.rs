@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::jobs::{Drawn, Job, Progress, Said, SectionResult, State};
+use super::jobs::{Drawn, Job, MapNumbers, Progress, Said, SectionResult, State};
 use super::request::Request;
 use stiction_web::table::BASE;
 
@@ -55,6 +55,8 @@ struct ResultDocument {
     /// What a person should know of the section, and why there is no answer.
     notes: Vec<String>,
     pictures: Vec<PictureDocument>,
+    /// What its error maps say in numbers; empty until the pictures are there.
+    maps: Vec<MapNumbers>,
     report_url: Option<String>,
     predictions_url: Option<String>,
 }
@@ -86,6 +88,7 @@ impl JobDocument {
             words: found.words.clone(),
             notes: found.notes.clone(),
             pictures: found.pictures.iter().map(picture).collect(),
+            maps: found.maps.clone(),
             report_url: found
                 .report
                 .filter(|k| *k < made.reports.len())

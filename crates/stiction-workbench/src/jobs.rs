@@ -80,6 +80,23 @@ impl Drawn {
     }
 }
 
+/// An error map in numbers, OP units.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
+pub struct MapNumbers {
+    /// Order of the process.
+    pub order: u8,
+    /// OP's span, the upper limit of `fs + fd`.
+    pub s0: f64,
+    /// Least and largest fs of the suggested region.
+    pub fs: [f64; 2],
+    /// The same of fd.
+    pub fd: [f64; 2],
+    /// fs and fd of the cell of least error.
+    pub least: [f64; 2],
+    /// Root mean squared error of that cell, PV units.
+    pub least_rms: Option<f64>,
+}
+
 /// What a section gave.
 #[derive(Debug, Clone, Default)]
 pub struct SectionResult {
@@ -97,6 +114,8 @@ pub struct SectionResult {
     pub notes: Vec<String>,
     /// Its pictures.
     pub pictures: Vec<Drawn>,
+    /// What its error maps say in numbers.
+    pub maps: Vec<MapNumbers>,
     /// Which of the job's reports shows it.
     pub report: Option<usize>,
     /// Measured PV and free runs, of a gap.

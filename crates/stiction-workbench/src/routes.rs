@@ -22,9 +22,10 @@ use super::choices::{self, Choices};
 use super::documents::{JobDocument, JobList};
 use super::fault::Fault;
 use super::jobs::{Job, SectionResult, State as JobState};
+use super::preview::{Preview, preview};
 use super::record::{RecordAnswer, RecordQuery, record};
 use super::request::Request;
-use super::shelf::FileInfo;
+use super::shelf::{FileInfo, Shelf};
 use super::upload::upload;
 use stiction::units::format_seconds;
 use stiction_monitor::analysis::predictions::Row;
@@ -157,6 +158,17 @@ fn of_files() -> Vec<Operation<Bench>> {
             ResponseKind::Json(of::<RecordAnswer>),
             || get(curves),
         ),
+        Operation {
+            body: Some(of::<Request>),
+            ..line(
+                "post",
+                "/workbench/preview",
+                "What an order would analyse: its sections before and after downsampling",
+                &[],
+                ResponseKind::Json(of::<Preview>),
+                || post(previewed).layer(DefaultBodyLimit::max(MAX_ORDER)),
+            )
+        },
     ]
 }
 
@@ -260,10 +272,18 @@ async fn curves(
     query: Wanted<RecordQuery>,
 ) -> Answered<RecordAnswer> {
     let query = wanted(query)?;
+    in_place(&bench, move |shelf| record(shelf, &id, &query)).await
+}
+
+/// Reads a record on a thread of its own, a few at a time.
+async fn in_place<T: Send + 'static>(
+    bench: &Bench,
+    read: impl FnOnce(&Shelf) -> Result<T, Fault> + Send + 'static,
+) -> Answered<T> {
     let ended = |_| Fault::own("the program is ending");
     let _place = bench.drawing.acquire().await.map_err(ended)?;
     let shelf = bench.shelf.clone();
-    let work = tokio::task::spawn_blocking(move || record(&shelf, &id, &query));
+    let work = tokio::task::spawn_blocking(move || read(&shelf));
     work.await.map_err(|_| Fault::own("the record could not be read; the program's log has details"))?.map(Json)
 }
 
@@ -271,12 +291,22 @@ async fn jobs(State(bench): State<Bench>) -> Json<JobList> {
     Json(JobList { jobs: bench.jobs.list().iter().map(|job| JobDocument::of(job, false)).collect() })
 }
 
-async fn order(State(bench): State<Bench>, body: Result<Bytes, BytesRejection>) -> Answered<Ordered> {
+/// The order in a request's body.
+fn ordered(body: Result<Bytes, BytesRejection>) -> Result<Request, Fault> {
     let body = body.map_err(|why| match why.status() {
         StatusCode::PAYLOAD_TOO_LARGE => Fault::too_large("an order may have 1 MiB"),
         _ => Fault::wrong(why.body_text()),
     })?;
-    let request = Request::read(&body)?;
+    Request::read(&body)
+}
+
+async fn previewed(State(bench): State<Bench>, body: Result<Bytes, BytesRejection>) -> Answered<Preview> {
+    let task = ordered(body)?.task()?;
+    in_place(&bench, move |shelf| preview(shelf, &task)).await
+}
+
+async fn order(State(bench): State<Bench>, body: Result<Bytes, BytesRejection>) -> Answered<Ordered> {
+    let request = ordered(body)?;
     let info = bench.shelf.info(&request.file)?;
     let wanted = &request.loop_name;
     if !info.loops.iter().any(|one| one.name == *wanted) {

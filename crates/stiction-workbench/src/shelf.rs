@@ -16,6 +16,7 @@ use tempfile::TempDir;
 
 use stiction::record::{Sample, Signal};
 use stiction::signal::align::Point;
+use stiction_files::compact::stem_of;
 use stiction_files::inputs::Unit;
 use stiction_files::run::config_of;
 use stiction_files::{Loaded, LoadedLoop, ReadOptions};
@@ -79,6 +80,8 @@ pub struct LoopInfo {
     pub end_ms: Option<f64>,
     /// Sampling time, s.
     pub ts_s: Option<f64>,
+    /// What both tags have in common, where the file gives tags.
+    pub tag: Option<String>,
     /// Tags of OP and PV, and what somebody noted.
     pub about: Option<String>,
     /// Units of OP and PV.
@@ -497,6 +500,7 @@ fn loop_info(one: &LoadedLoop, config: &Config) -> LoopInfo {
         start_ms: ms(all.first()),
         end_ms: ms(all.last()),
         ts_s: sampling_time_s(&all),
+        tag: one.about.as_ref().and_then(|about| stem_of(&about.tags)).map(str::to_owned),
         about: about.filter(|text| !text.is_empty()),
         units: one.units.clone(),
         columns: signals.into_iter().filter(|(signal, _)| there(*signal)).map(|(_, name)| name).collect(),

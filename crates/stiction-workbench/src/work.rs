@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::fault::Fault;
-use super::jobs::{Drawn, Job, Said, SectionResult, Step};
+use super::jobs::{Drawn, Job, MapNumbers, Said, SectionResult, Step};
 use super::request::{Kind, Model};
 use super::shelf::Shelf;
 use stiction::gap::text as gap_text;
+use stiction::ident::fit_plots::ErrorMap;
 use stiction::ident::surface::BUDGET;
 use stiction::optim::{Settings, SolverName};
 use stiction::verdict::{Assessment, words};
@@ -19,6 +20,7 @@ use stiction_monitor::analysis::predictions::rows;
 use stiction_monitor::analysis::solver::{self, SolverDocument};
 use stiction_monitor::analysis::{self, Answer, Points, Scored, Section, text};
 use stiction_monitor::config::Config;
+use stiction_report::detail::Detail;
 use stiction_report::figures::{self, Figure, Subject};
 use stiction_report::maker::{Analysed, Maker};
 use stiction_report::plot::PlotError;
@@ -191,15 +193,16 @@ impl<'b> Bench<'b> {
     fn draw(&self, run: Model, report: &Report) -> Result<(), Fault> {
         let page = Arc::new(page(report).map_err(undrawn)?);
         let drawn = report.loops.iter().map(|one| figures::detailed(&subject(one))).collect::<Result<Vec<_>, _>>();
-        let mut drawn = drawn.map_err(undrawn)?.into_iter();
+        let mut drawn = drawn.map_err(undrawn)?.into_iter().zip(&report.loops);
         self.job.change(|made| {
             let part = made.reports.len();
             made.reports.push(page);
             let of_run =
                 |found: &(usize, &mut SectionResult)| found.1.model == Some(run.word()) && !found.1.document.is_null();
             for (at, found) in made.results.iter_mut().enumerate().filter(of_run) {
-                let Some(figures) = drawn.next() else { break };
+                let Some((figures, one)) = drawn.next() else { break };
                 found.pictures = pictures(at, figures, run.order());
+                found.maps = one.detail.as_ref().map_or_else(Vec::new, map_numbers);
                 found.report = Some(part);
             }
         });
@@ -291,6 +294,15 @@ fn subject(one: &LoopReport) -> Subject<'_> {
         tags: &one.tags,
         detail: one.detail.as_ref(),
     }
+}
+
+fn map_numbers(detail: &Detail) -> Vec<MapNumbers> {
+    let numbers = |map: &ErrorMap| {
+        let [fs, fd] = Detail::suggested(map);
+        let least = [map.best.fs, map.best.fd];
+        MapNumbers { order: map.order, s0: detail.span, fs, fd, least, least_rms: map.best.rms }
+    };
+    detail.maps.iter().map(numbers).collect()
 }
 
 fn pictures(result: usize, figures: Vec<Figure>, order: Option<u8>) -> Vec<Drawn> {

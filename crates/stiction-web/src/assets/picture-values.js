@@ -14,13 +14,16 @@ function place(svg, event) {
   return at.matrixTransform(svg.getScreenCTM().inverse());
 }
 
-function cellWords(name, cells, x, y) {
+function cellWords(names, cells, x, y) {
+  const [across, up, value] = names.split("|");
+  const [what, unit = ""] = value.split(", ");
+  const short = (label) => label.split(", ")[0];
   let best = null;
   for (const cell of cells) {
     const far = (cell[0] - x) ** 2 + (cell[1] - y) ** 2;
     if (!best || far < best.far) best = { far, cell };
   }
-  return best ? `${name} ${number(best.cell[2])} at ${number(best.cell[0])}, ${number(best.cell[1])}` : "";
+  return best ? `${short(across)} ${number(best.cell[0])}, ${short(up)} ${number(best.cell[1])}: ${what} ${number(best.cell[2])} ${unit}` : "";
 }
 
 let box = null;
@@ -29,7 +32,7 @@ let box = null;
 export function readable(svg) {
   const panels = (svg.dataset.axes ?? "").split(";").filter(Boolean).map(list);
   if (!panels.length) return;
-  const [name, ...rest] = (svg.dataset.cells ?? "").split(";");
+  const [names, ...rest] = (svg.dataset.cells ?? "").split(";");
   const cells = rest.filter(Boolean).map(list);
   const whole = svg.getAttribute("viewBox");
   let from = null;
@@ -40,14 +43,17 @@ export function readable(svg) {
     const [left, right, top, bottom, x0, x1, y1, y0] = panel;
     const atX = x0 + ((x - left) / (right - left)) * (x1 - x0);
     const atY = y1 + ((y - top) / (bottom - top)) * (y0 - y1);
-    return cells.length ? cellWords(name, cells, atX, atY) : `${number(atX)} , ${number(atY)}`;
+    return cells.length ? cellWords(names, cells, atX, atY) : `${number(atX)} , ${number(atY)}`;
   };
   const hide = () => box && (box.hidden = true);
 
   svg.addEventListener("pointermove", (event) => {
     const text = words(place(svg, event));
     if (!text) return hide();
-    box ??= document.body.appendChild(h("div", { class: "value-box", "aria-hidden": "true" }));
+    box ??= h("div", { class: "value-box", "aria-hidden": "true" });
+    // In full screen only what is inside shows.
+    const holder = document.fullscreenElement ?? document.body;
+    if (box.parentNode !== holder) holder.append(box);
     fill(box, text).hidden = false;
     box.style.left = `${Math.min(event.clientX + 14, document.documentElement.clientWidth - box.offsetWidth - 8)}px`;
     box.style.top = `${event.clientY + 16}px`;
