@@ -51,7 +51,7 @@ def page(bench, open_page):
 
 
 def run(page, button, number):
-    page.get_by_role("region", name="Trend and sections").get_by_role("button", name=button, exact=True).click()
+    page.get_by_role("region", name="Settings").get_by_role("button", name=button, exact=True).click()
     row = page.get_by_role("region", name="Runs compared").get_by_role("row").filter(has_text=f"Run {number}")
     expect(row.first).to_be_visible()
     return row
@@ -67,14 +67,14 @@ def over(bench):
 
 
 def test_an_estimate_has_the_numbers_of_analyze_to_the_digit(bench, page):
-    run(page, "Estimate", 1)
+    run(page, "Run estimate", 1)
     result = page.get_by_role("region", name="Result")
     job = eventually("the run's end", lambda: over(bench), within=90)
     assert job["state"] == "done", job
     expect(page.get_by_role("status").filter(has_text="Run 1: done")).to_be_attached()
     # Pictures are drawn when they come near the screen.
-    expect(result.get_by_role("heading", name="Pictures")).to_be_visible()
-    page.get_by_role("region", name="Runs compared").scroll_into_view_if_needed()
+    page.get_by_role("button", name="Result", exact=True).click()
+    result.get_by_role("heading", name="Pictures").scroll_into_view_if_needed()
     expect(result.get_by_role("img").first).to_be_attached()
     for found, model in zip(job["results"], ("fopdt", "sopdt"), strict=True):
         code, out, said = stictiond("analyze", RECORDING, "--model", model, "--format", "json")
@@ -119,14 +119,60 @@ def test_a_section_is_dragged_and_counts(bench, page):
     a, b = int(first.input_value()), int(last.input_value())
     assert 300 < a < 800 and 1300 < b < 1800, (a, b)
     page.get_by_label("Process", exact=True).select_option("fopdt")
+    page.get_by_text("Solver, fineness, seed").click()
+    page.get_by_label("Additional solver").select_option("contour")
     before = newest(bench)["id"] if api(bench, "/workbench/jobs")["jobs"] else None
-    page.get_by_role("region", name="Trend and sections").get_by_role("button", name="Estimate", exact=True).click()
+    page.get_by_role("button", name="Run estimate").click()
     eventually("a new run", lambda: api(bench, "/workbench/jobs")["jobs"] and newest(bench)["id"] != before)
     job = eventually("the run's end", lambda: over(bench))
     code, out, said = stictiond("analyze", RECORDING, "--samples", f"{a},{b}", "--model", "fopdt", "--format", "json")
     assert code == 0, said
     wanted, found = json.loads(out.splitlines()[0]), job["results"][0]["document"]
     assert [wanted[k] for k in ("window", "fs", "fd", "s_interval", "p_stiction")] == [found[k] for k in ("window", "fs", "fd", "s_interval", "p_stiction")]
+    errors_and_maps_are_explained(page.get_by_role("region", name="Result"), page, job["results"][0])
+
+
+def errors_and_maps_are_explained(result, page, found):
+    document = found["document"]
+    rows = result.get_by_role("region", name="Mean squared errors").get_by_role("row")
+    for row, name, error in [(1, "Estimate", document["process"]["mse"]), (3, "Best of contour", document["solver"]["mse"])]:
+        expect(rows.nth(row)).to_contain_text(name)
+        assert float(rows.nth(row).get_by_role("cell").nth(2).inner_text()) == pytest.approx(error, rel=0.01)
+    expect(result.get_by_text(re.compile("Use the estimate"))).to_be_visible()
+    region = next(m for m in found["maps"] if m["order"] == 1)
+    for name, values in [("OP's span, S0", [document["s0"]]), ("Suggested region, fs", region["fs"]), ("Suggested region, fd", region["fd"])]:
+        shown = result.get_by_role("row").filter(has_text=name).get_by_role("cell").first.inner_text()
+        assert [float(v) for v in re.findall(r"[\d.]+", shown)] == pytest.approx(values, rel=0.01), (name, shown)
+    # Values under the pointer.
+    figure = result.locator("figure").filter(has_text="Error map, order 1.")
+    figure.scroll_into_view_if_needed()
+    picture = figure.get_by_role("img")
+    picture.scroll_into_view_if_needed()
+    picture.hover(position={"x": picture.bounding_box()["width"] * 0.35, "y": picture.bounding_box()["height"] * 0.55})
+    expect(page.locator(".value-box")).to_have_text(re.compile(r"^fs [\d.]+, fd [\d.]+: rms [\d.]+ % of std$"))
+
+
+def test_what_a_run_analyses_is_seen_before_it_and_help_explains_every_field(bench, page):
+    trend = page.get_by_role("region", name="Trend and sections")
+    expect(trend).to_contain_text(re.compile(r"As recorded and as analysed: 2,000 points, one every 1 s\..*S0 = 12\.8 OP units"))
+    expect(trend.get_by_role("img", name=re.compile("phase plot: OP from"))).to_have_count(1)
+    plots = trend.locator(".wb-plots")
+    for axes, charts, right in [("Two axes", 1, 1), ("One axis", 1, 0), ("Two charts", 2, 0)]:
+        trend.get_by_role("button", name=axes).click()
+        expect(plots.get_by_role("application")).to_have_count(charts)
+        # Next to the time's, every chart has an axis on the left, and one on the right where there are two.
+        expect(plots.locator(".u-axis")).to_have_count(2 * charts + right)
+    page.keyboard.press("?")
+    help = page.get_by_role("dialog", name="Help")
+    explained = help.inner_text()
+    for label in page.locator(".wb-form label:visible").all_inner_texts():
+        assert label.split(",")[0] in explained or label in ("From", "To"), label
+    help.get_by_role("region", name="Example 2").get_by_role("button", name="Set the choices").click()
+    expect(help).to_have_count(0)
+    expect(trend).to_contain_text(re.compile(r"As recorded: 451 points, one every 1 s\..*As analysed: 225 points, one every 2 s\."))
+    expect(trend.get_by_role("img", name=re.compile("phase plot: OP from"))).to_have_count(2)
+    page.get_by_role("button", name="↶ Undo").click()
+    expect(trend).to_contain_text("As recorded and as analysed: 2,000 points")
 
 
 def test_a_file_is_opened_and_what_cannot_be_read_says_why(bench, open_page, tmp_path):
@@ -148,6 +194,62 @@ def test_a_file_is_opened_and_what_cannot_be_read_says_why(bench, open_page, tmp
     expect(files).to_contain_text(re.compile(r"junk\.csv: .{10,}"))
     page.get_by_role("button", name=f"Close {name}").click()
     expect(files).not_to_contain_text(name)
+    # A store's loops are numbered; their tags say what they are.
+    store = tmp_path / "store.mat"
+    code, _, said = stictiond("convert", RECORDING, store)
+    assert code == 0, said
+    with page.expect_file_chooser() as chooser:
+        page.get_by_role("button", name=re.compile("^Open a file")).click()
+    chooser.value.set_files([store])
+    expect(page.get_by_role("heading", name="Trend of FIC101 (loop1)")).to_be_visible()
+    known = page.locator(".wb-process")
+    expect(known).to_contain_text(re.compile(r"Loop\s*FIC101 \(loop1\)\s*Sampling time\s*1 s\s*Samples\s*2,000"))
+    expect(page.get_by_role("img", name=re.compile("phase plot: OP from"))).to_be_visible()
+    page.get_by_role("button", name="Close store.mat").click()
+    expect(known).to_be_hidden()
+
+
+BROKEN_WORDS = """() => {
+  const broken = [];
+  const texts = document.createTreeWalker(document.querySelector(".wb"), NodeFilter.SHOW_TEXT);
+  while (texts.nextNode()) {
+    const text = texts.currentNode;
+    if (!text.parentElement.checkVisibility() || text.parentElement.closest("svg, pre, .unseen, .wb-file h3")) continue;
+    for (const { 0: word, index } of text.data.matchAll(/\\p{L}{2,}/gu)) {
+      const range = document.createRange();
+      range.setStart(text, index);
+      range.setEnd(text, index + word.length);
+      if (new Set([...range.getClientRects()].map((r) => Math.round(r.top))).size > 1) broken.push(word);
+    }
+  }
+  return broken;
+}"""
+EMPTY_COLUMNS = """() => [0.1, 0.3, 0.5, 0.7, 0.9].filter((x) => ![0.3, 0.4, 0.5].some((y) =>
+  document.elementFromPoint(x * innerWidth, y * innerHeight)?.closest(".card")))"""
+
+
+def test_at_every_width_words_stay_whole_choices_in_view_and_no_column_empty(bench, open_page):
+    page = open_page(bench)
+    go = page.get_by_role("button", name=re.compile("^Run estimate"))
+    if not api(bench, "/workbench/jobs")["jobs"]:
+        go.click()
+    page.get_by_role("button", name="Run 1", exact=True).click()
+    expect(page.get_by_role("region", name="Result").get_by_role("heading", name="Pictures")).to_be_visible()
+    for width in (390, 1000, 1400, 1900):
+        page.set_viewport_size({"width": width, "height": 900})
+        page.evaluate("scrollTo(0, 0)")
+        tops = [page.get_by_role("region", name=name).bounding_box()["y"] for name in ("Runs compared", "Trend and sections", "Result")]
+        assert tops == sorted(tops), (width, tops)
+        for share in (0, 0.5, 0.9):
+            page.evaluate(f"scrollTo(0, {share} * document.documentElement.scrollHeight)")
+            expect(go).to_be_in_viewport(ratio=0.99)
+            go.click(trial=True)
+            assert page.evaluate(EMPTY_COLUMNS) == [], (width, share)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, width
+        assert page.evaluate(BROKEN_WORDS) == [], width
+    page.set_viewport_size({"width": 390, "height": 900})
+    page.get_by_role("button", name="Choices").click()
+    expect(page.get_by_label("Process", exact=True)).to_be_in_viewport()
 
 
 def posted(bench, path, headers, body=b""):

@@ -12,6 +12,8 @@ export { phase } from "./chart-phase.js";
 
 const groups = new Map();
 const DAY_MS = 864e5;
+/** Scale of the lines that have their axis on the right. */
+const RIGHT = "right";
 /** Widest chart on paper, px. */
 const PAPER_WIDTH = 660;
 
@@ -44,6 +46,7 @@ function plan(series) {
     const line = rows.length + 1;
     rows.push({ key: s.key, of: s, options: {
       label: s.label,
+      scale: s.right ? RIGHT : "y",
       stroke: () => ink(s.ink),
       width: s.width ?? 1.5,
       dash: s.dash,
@@ -51,7 +54,7 @@ function plan(series) {
       points: { show: s.points ?? false, size: 5, fill: () => ink(s.ink) },
     } });
     if (!s.lo) continue;
-    for (const key of [s.hi, s.lo]) rows.push({ key, of: s, options: { stroke: null, width: 0, points: { show: false } } });
+    for (const key of [s.hi, s.lo]) rows.push({ key, of: s, options: { scale: s.right ? RIGHT : "y", stroke: null, width: 0, points: { show: false } } });
     bands.push({ series: [line + 1, line + 2], fill: () => sheer(s.ink, 0.18) });
   }
   return { rows, bands };
@@ -78,7 +81,7 @@ class LineChart {
   }
 
   build(root) {
-    const { label, xLabel, yLabel, time, height, series } = this.options;
+    const { label, xLabel, yLabel, rightLabel, time, height, series } = this.options;
     const { rows, bands } = plan(series);
     this.rows = rows;
     this.keyRow = h("div", { class: "chart-key" }, series.map((s) => this.keyOf(s)));
@@ -96,10 +99,10 @@ class LineChart {
       width, height, ms: 1,
       tzDate: (ms) => uPlot.tzDate(new Date(ms), format.timeZone()),
       legend: { show: false },
-      scales: { x: { time }, y: { range: (u, lo, hi) => this.rangeY(lo, hi) } },
+      scales: { x: { time }, y: { range: (u, lo, hi) => this.rangeY(lo, hi) }, ...(rightLabel ? { [RIGHT]: { range: (u, lo, hi) => this.rangeY(lo, hi) } } : {}) },
       series: [{}, ...rows.map((r) => r.options)],
       bands,
-      axes: [axis(xLabel, { ...(time ? { values: timeLabels } : {}), size: xLabel ? 30 : 34 }), axis(yLabel, { size: 52 })],
+      axes: [axis(xLabel, { ...(time ? { values: timeLabels } : {}), size: xLabel ? 30 : 34 }), axis(yLabel, { size: 52 }), ...(rightLabel ? [axis(rightLabel, { size: 52, scale: RIGHT, side: 1, grid: { show: false } })] : [])],
       cursor: {
         y: false,
         drag: { x: true, y: false, setScale: false },
@@ -233,8 +236,8 @@ class LineChart {
   tellCursor(idx) {
     const x = this.u.data[0];
     fill(this.at, idx === null || idx === undefined || !x.length ? "" : this.xText(x[idx]));
-    const { min, max } = this.u.scales.y ?? {};
     for (const s of this.options.series) {
+      const { min, max } = this.u.scales[s.right ? RIGHT : "y"] ?? {};
       const k = this.rows.findIndex((r) => r.key === s.key) + 1;
       const column = this.u.data[k] ?? [];
       const at = idx ?? column.findLastIndex((v) => v !== null && v !== undefined);

@@ -14,6 +14,9 @@ const OPTION_WORDS = {
   quality: ["Quality codes", "ua, classic, percent, flag or ignore"],
 };
 
+/** What a loop is called: its tag where the file gives one, with the file's name for it. */
+export const called = (one) => (one.tag && one.tag !== one.name ? `${one.tag} (${one.name})` : one.name);
+
 /** The panel of files. `on`: `chosen(file, loop)`, `changed(files)`. */
 export class Files {
   constructor(root, { api, dom, dialog, format, announce }, on) {
@@ -139,13 +142,14 @@ export class Files {
   }
 
   async close(file) {
+    // First nothing asks for it any more.
+    if (this.chosen.file === file.id) this.on.chosen(null, null);
     try {
       this.files = (await this.api.del(`/workbench/files/${file.id}`)).files;
     } catch (error) {
       this.announce(error.message);
     }
     this.on.changed(this.files);
-    if (this.chosen.file === file.id) this.on.chosen(null, null);
     this.draw();
   }
 
@@ -155,7 +159,7 @@ export class Files {
     const length = one.start_ms !== null ? format.duration((one.end_ms - one.start_ms) / 1000) : "empty";
     const details = `${format.count(one.samples, "sample")}, ${length}${one.about ? ` · ${one.about}` : ""}`;
     return h("li", null, h("button", { class: "wb-loop", type: "button", "aria-pressed": String(here), onclick: () => this.on.chosen(file, one) },
-      h("b", null, one.name), h("small", null, details)));
+      h("b", null, called(one)), h("small", null, details)));
   }
 
   draw() {

@@ -1,5 +1,7 @@
 // The choices as a form. Every change is one step of the history.
 
+import { FIELDS } from "./workbench-help.js";
+
 let serial = 0;
 
 /** Choices on which the form's shape depends. */
@@ -41,7 +43,7 @@ export class Form {
     const kinds = [["analyze", "Estimate", "Stiction of the valve"], ["gap", "Gap", "What the model misses"]].map(([id, words, title]) =>
       h("button", { class: "button", type: "button", name: `kind-${id}`, title, "aria-pressed": String(now.kind === id), onclick: () => this.set({ kind: id }, words) }, words));
     fill(this.root, h("div", { class: "row segments", role: "group", "aria-label": "Kind of run" }, kinds),
-      now.kind === "gap" ? this.gap(now) : this.estimate(now), this.data(now));
+      this.data(now), now.kind === "gap" ? this.gap(now) : this.estimate(now));
     if (focused) this.root.querySelector(`[name="${focused}"], [data-name="${focused}"]`)?.focus();
   }
 
@@ -50,7 +52,7 @@ export class Form {
     control.id = id;
     const note = hint && this.h("small", { class: "soft", id: `${id}-hint` }, hint);
     if (note) control.setAttribute("aria-describedby", note.id);
-    return this.h("div", { class: "field" }, this.h("label", { for: id }, label), control, note);
+    return this.h("div", { class: "field", title: FIELDS[control.name]?.[1] ?? null }, this.h("label", { for: id }, label), control, note);
   }
 
   select(key, label, all, hint) {
@@ -76,7 +78,7 @@ export class Form {
   check(key, label, hint) {
     const { h } = this;
     const input = h("input", { type: "checkbox", name: key, checked: this.choices.now[key], onchange: (e) => this.set({ [key]: e.target.checked }, `${label}: ${e.target.checked ? "yes" : "no"}`) });
-    return h("label", { class: "wb-check", title: hint ?? null }, input, " ", label);
+    return h("label", { class: "wb-check", title: hint ?? FIELDS[key]?.[1] ?? null }, input, " ", label);
   }
 
   group(title, ...children) {

@@ -1,8 +1,12 @@
 // What a run found: plain words, numbers with intervals, pictures; first and second order side by side.
 
 import { VERDICTS } from "./verdicts.js";
+import { solverTable } from "./workbench-solver.js";
 
 const NAMES = { fopdt: "First order", sopdt: "Second order", auto: "Order chosen by the fit" };
+
+/** Lines that are not folded. */
+const MOST_LINES = 3;
 
 const KINDS = { stiction: "bad", deadband: "bad", disturbance: "other", tuning: "other", no_oscillation: "good", no_stiction: "good" };
 
@@ -24,11 +28,16 @@ export function bySection(results) {
 
 const interval = (format, v, range, unit) => (v === null || v === undefined ? "–" : format.estimate(v, range, unit ?? ""));
 
-/** Rows of numbers: name, hint, and how one document says it. */
+/** Rows of numbers: name, hint, and how one document, with its error maps, says it. */
 function rows(format, units) {
   const [op] = units;
   const n = format.number;
   const process = (d, of) => (d.process ? of(d.process) : "–");
+  const map = (d, maps, of) => {
+    const own = maps.find((m) => m.order === d.process?.order);
+    return own ? of(own) : null;
+  };
+  const between = ([low, high]) => `${n(low)} to ${n(high)}${op ? ` ${op}` : ""}`;
   return [
     ["Stiction", "p", (d) => (d.stiction === false ? `not seen (p ${format.probability(d.p_stiction)})` : format.probability(d.p_stiction))],
     ["Grade", "A surest, D no answer", (d) => d.grade ?? "–"],
@@ -36,17 +45,19 @@ function rows(format, units) {
     ["Slip jump, j", "fs − fd", (d) => (d.j_identifiable === false ? `${interval(format, d.j, d.j_interval, op)}, not identifiable` : interval(format, d.j, d.j_interval, op))],
     ["Static band, fs", "", (d) => interval(format, d.fs, d.fs_interval, op)],
     ["Kinetic band, fd", "", (d) => interval(format, d.fd, d.fd_interval, op)],
-    ["s over OP's span", "", (d) => (d.s_over_span === null ? "–" : `${n(100 * d.s_over_span)} %`)],
+    ["OP's span, S0", "upper limit of fs + fd", (d) => (d.s0 === null ? "–" : `${n(d.s0)}${op ? ` ${op}` : ""}`)],
+    ["Suggested region, fs", "box on the error map: whole cells, 2.5 % of S0 wide", (d, maps) => map(d, maps, (m) => between(m.fs))],
+    ["Suggested region, fd", "", (d, maps) => map(d, maps, (m) => between(m.fd))],
+    ["s over S0", "", (d) => (d.s_over_span === null ? "–" : `${n(100 * d.s_over_span)} %`)],
     ["Stiction index", "share of the error that friction explains", (d) => n(d.stiction_index)],
     ["Period", "", (d) => (d.oscillation.period_s === null ? "–" : `${format.duration(d.oscillation.period_s)}, ${n(d.oscillation.periods)} of them`)],
     ["Fit", "share of PV's deviation, free run", (d) => process(d, (p) => `${n(p.fit_pct)} %`)],
-    ["Mean squared error", "", (d) => process(d, (p) => n(p.mse))],
+    ["Mean squared error", "free run", (d) => process(d, (p) => n(p.mse))],
     ["Gain", "", (d) => process(d, (p) => n(p.gain))],
     ["Time constants", "", (d) => process(d, (p) => (p.time_constants_s.length ? p.time_constants_s.map((t) => format.duration(t)).join(", ") : "none"))],
     ["Dead time", "", (d) => process(d, (p) => format.duration(p.dead_time_s))],
     ["Valve law", "", (d) => d.valve_model ?? "–"],
     ["Gates", "", (d) => (d.gates.length ? d.gates.map((g) => g.replaceAll("_", " ")).join(", ") : "none")],
-    ["Solver", "", (d) => (d.solver ? `${d.solver.name}: fs ${n(d.solver.fs)}, fd ${n(d.solver.fd)}, MSE ${n(d.solver.mse)} after ${format.integer(d.solver.evaluations)} models (${d.solver.stopped}); the estimate's own MSE ${n(d.solver.estimate_mse)}` : null)],
     ["Elapsed", "", (d) => `${format.integer(d.elapsed_ms)} ms`],
   ];
 }
@@ -105,12 +116,14 @@ function words(h, found) {
   const shown = found.filter((r) => r.document);
   const all = shown.map(said);
   const abouts = [...new Set(all.flatMap((one) => [...one.keys()]))];
-  const text = (texts) => (texts === undefined ? "–" : texts.length === 1 ? texts[0] : h("ul", null, texts.map((t) => h("li", null, t))));
+  const list = (texts) => h("ul", null, texts.map((t) => h("li", null, t)));
+  const folded = (texts) => h("details", null, h("summary", null, `${texts.length} steps`), list(texts));
+  const text = (texts) => (texts === undefined ? "–" : texts.length === 1 ? texts[0] : texts.length > MOST_LINES ? folded(texts) : list(texts));
   const row = (about) => {
     const cells = all.map((one) => one.get(about));
     const alike = cells.every((cell) => JSON.stringify(cell) === JSON.stringify(cells[0]));
     return h("tr", null, h("th", { scope: "row" }, about),
-      alike ? h("td", { colspan: cells.length > 1 ? String(cells.length) : null }, text(cells[0])) : cells.map((cell) => h("td", null, text(cell))));
+      alike ? h("td", { colspan: cells.length > 1 ? String(cells.length) : null }, text(cells[0])) : cells.map((cell, k) => h("td", { "data-name": NAMES[shown[k].model] }, text(cell))));
   };
   const head = shown.length > 1 ? h("thead", null, h("tr", null, h("td"), shown.map((r) => h("th", { scope: "col" }, NAMES[r.model], " ", badge(h, r.document.verdict))))) : null;
   const notes = found.flatMap((r) => r.notes.map((note) => ({ note, wrong: !r.document })));
@@ -127,7 +140,7 @@ function numbers(h, format, found, units) {
   if (!shown.length) return null;
   const head = shown.length > 1 ? h("thead", null, h("tr", null, h("th", { scope: "col" }, "Number"), shown.map((r) => h("th", { scope: "col" }, NAMES[r.model])))) : null;
   const body = rows(format, units).map(([name, hint, of]) => {
-    const cells = shown.map((r) => of(r.document));
+    const cells = shown.map((r) => of(r.document, r.maps));
     if (cells.every((cell) => cell === null)) return null;
     return h("tr", null, h("th", { scope: "row" }, name, hint ? h("small", { class: "soft under" }, hint) : null), cells.map((cell) => h("td", null, cell ?? "–")));
   });
@@ -180,7 +193,8 @@ export function showEstimate(root, context, job) {
     const below = several ? "h4" : "h3";
     return h("section", { class: "wb-section" },
       several ? h("h3", null, sentence(found[0].section || "the whole record").slice(0, -1)) : null,
-      words(h, found), numbers(h, format, found, units),
+      h("div", { class: "wb-said" }, h("div", null, words(h, found)), h("div", null, numbers(h, format, found, units))),
+      found.filter((r) => r.document).map((r) => solverTable(context, r.document, found.length > 1 ? NAMES[r.model] : null)),
       h(below, null, "Pictures"),
       found.some((r) => r.pictures.length) ? pairs(context, found) : h("p", { class: "soft" }, job.state === "running" ? "The pictures are being drawn." : "There are none: nothing was fitted."),
       found.map((r) => r.text && h("details", null, h("summary", null, `As the command prints it${found.length > 1 ? `, ${NAMES[r.model].toLowerCase()}` : ""}`), h("pre", { tabindex: "0" }, r.text))));

@@ -6,10 +6,10 @@ const STATES = { queued: "Waiting", running: "Running", done: "Done", failed: "F
 /** Pause before a lost stream is opened again, ms. */
 const AGAIN_MS = 1500;
 
-/** All runs. `on`: `shown(job)` draws one, `changed()` hears of every change, `again(job)` takes its choices. */
+/** All runs. `on`: `shown(job)` draws one, `looked()` brings it into view, `called(job)` is its loop, `changed()` hears of every change, `again(job)` takes its choices. */
 export class Runs {
   constructor(root, table, { api, dom, format, announce }, on) {
-    Object.assign(this, { root, table, api, format, announce, on, h: dom.h, fill: dom.fill });
+    Object.assign(this, { root, table, api, format, announce, on, h: dom.h, fill: dom.fill, cell: dom.figureCell });
     this.jobs = [];
     this.chosen = null;
     this.streams = new Map();
@@ -142,18 +142,23 @@ export class Runs {
   cells(job, result) {
     const { h, format } = this;
     const d = result?.document;
-    const n = (v) => h("td", { class: "number" }, v);
+    const n = (v, minor) => h("td", { class: minor ? "number wb-minor" : "number" }, v);
+    // Where rows fold, every figure carries its name.
+    const named = (name, cell) => {
+      cell.dataset.name = name;
+      return cell;
+    };
     if (!d) return [h("td", { colspan: "7", class: job.state === "failed" ? null : "soft" }, job.error ?? result?.notes?.join(" ") ?? STATES[job.state])];
     if (job.request.kind === "gap") {
-      const named = d.effects.find((e) => e.id === d.cause.id);
+      const cause = d.effects.find((e) => e.id === d.cause.id);
       const answer = { none: "no effect needed", unknown: "not explained" }[d.cause.id] ?? d.cause.id.replaceAll("_", " ");
-      return [h("td", null, answer), n(format.probability(d.cause.probability)),
-        h("td", { colspan: "5" }, `gap ${format.number(d.gap.gap)}${named?.closed_pct ? `, closed ${format.estimate(named.closed_pct, named.closed_interval, "%")}` : ""}`)];
+      return [h("td", null, answer), named("p", n(format.probability(d.cause.probability))),
+        h("td", { colspan: "5" }, `gap ${format.number(d.gap.gap)}${cause?.closed_pct ? `, closed ${format.estimate(cause.closed_pct, cause.closed_interval, "%")}` : ""}`)];
     }
     const p = d.process;
-    return [h("td", null, badge(h, d.verdict)), n(format.probability(d.p_stiction)),
-      n(format.estimate(d.s, d.s_interval, "")), n(format.estimate(d.j, d.j_interval, "")), n(format.number(d.stiction_index)),
-      n(p ? format.number(p.fit_pct) : "–"), n(p ? format.duration(p.dead_time_s) : "–")];
+    return [h("td", null, badge(h, d.verdict)), named("p", n(format.probability(d.p_stiction))),
+      named("s", this.cell(format.parts(d.s, d.s_interval))), named("j", this.cell(format.parts(d.j, d.j_interval))), n(format.number(d.stiction_index), true),
+      n(p ? format.number(p.fit_pct) : "–", true), n(p ? format.duration(p.dead_time_s) : "–", true)];
   }
 
   drawTable() {
@@ -163,16 +168,19 @@ export class Runs {
     const body = [...this.jobs].reverse().flatMap((job) => {
       const results = job.results?.length ? job.results : [null];
       return results.map((result, k) => h("tr", { class: this.chosen === job.id ? "wb-chosen" : null },
-        k === 0 ? h("th", { scope: "row", rowspan: String(results.length) }, h("button", { class: "button quiet", type: "button", "aria-pressed": String(this.chosen === job.id), onclick: () => this.choose(job.id) }, `Run ${this.number(job)}`)) : null,
-        h("td", { class: "wb-what" }, what(job, result)), this.cells(job, result),
+        k === 0 ? h("th", { scope: "row", rowspan: String(results.length) }, h("button", { class: "button quiet", type: "button", "aria-pressed": String(this.chosen === job.id), title: "Show its result", onclick: () => {
+          this.choose(job.id);
+          this.on.looked();
+        } }, `Run ${this.number(job)}`)) : null,
+        h("td", { class: "wb-what" }, what(job, result, this.on.called(job))), this.cells(job, result),
         k === 0 ? h("td", { rowspan: String(results.length), class: "number" },
           h("button", { class: "button quiet", type: "button", title: "Use the settings of this run", "aria-label": `Use the settings of run ${this.number(job)}`, onclick: () => this.on.again(job) }, "Settings"),
           over(job) ? h("button", { class: "button quiet icon", type: "button", "aria-label": `Remove run ${this.number(job)}`, title: "Remove", onclick: () => this.remove(job) }, "×") : null) : null));
     });
     return fill(this.table, h("div", { class: "row spread" }, h("h2", null, "Runs compared"),
       h("button", { class: "button quiet", type: "button", onclick: () => this.save() }, "Save table (CSV)")),
-      h("div", { class: "scroll" }, h("table", { class: "table wb-compare" }, h("caption", { class: "unseen" }, "Runs made so far, newest first"),
-        h("thead", null, h("tr", null, heads.map((t, k) => h("th", { scope: "col", class: k > 2 ? "number" : null }, t || h("span", { class: "unseen" }, "Acts"))))), h("tbody", null, body))));
+      h("div", { class: "scroll wb-compare-scroll", tabindex: "0", role: "region", "aria-label": "Table of runs" }, h("table", { class: "table wb-compare" }, h("caption", { class: "unseen" }, "Runs made so far, newest first"),
+        h("thead", null, h("tr", null, heads.map((t, k) => h("th", { scope: "col", class: `${k > 2 ? "number" : ""}${k > 5 && k < 9 ? " wb-minor" : ""}` || null }, t || h("span", { class: "unseen" }, "Acts"))))), h("tbody", null, body))));
   }
 
   save() {
@@ -195,12 +203,12 @@ export class Runs {
 /** Whether nothing more comes of a job. */
 export const over = (job) => ["done", "failed", "cancelled"].includes(job.state);
 
-function what(job, result) {
+function what(job, result, name) {
   const { request } = job;
-  const parts = [request.loop, result?.section || (request.samples ? `${request.samples.length} sections` : "whole record")];
+  const parts = [name, result?.section || (request.samples ? `${request.samples.length} sections` : "whole record")];
   if (request.kind === "gap") parts.push("gap", request.base && request.base !== "refit" ? (typeof request.base === "string" ? `base ${request.base}` : "given base") : null, request.without.length ? `without ${request.without.length}` : null);
   else parts.push({ fopdt: "first order", sopdt: "second order" }[result?.model ?? request.model] ?? null, request.valve !== "auto" ? request.valve : null, request.delay && request.delay !== "auto" ? `dead time ${request.delay}` : null);
-  if (request.downsample) parts.push(`every ${request.downsample}`);
+  if (request.downsample) parts.push(`one point for every ${request.downsample}`);
   if (request.detrend) parts.push(`without ${request.detrend}`);
   return parts.filter(Boolean).join(", ");
 }

@@ -4,6 +4,8 @@ const POINTS = 1600;
 /** Pause after zooming before finer data is asked for, ms. */
 const SETTLE_MS = 180;
 const SYNC = "wb-trend";
+/** How PV and OP share axes: charts apart, one chart with an axis each, one chart with one axis. */
+const AXES = [["apart", "Two charts"], ["double", "Two axes"], ["single", "One axis"]];
 
 /** The trend of the chosen loop. `on.sections(sections, words)` hears of every change of the sections. */
 export class Trend {
@@ -12,6 +14,7 @@ export class Trend {
     this.sections = [];
     this.whole = null;
     this.drags = "select";
+    this.axes = "apart";
     this.turn = 0;
     this.mark = null;
   }
@@ -46,37 +49,52 @@ export class Trend {
 
   build() {
     const { h, fill } = this;
-    const [opUnit, pvUnit] = this.one.units;
-    const modes = [["select", "Drag to select a section"], ["zoom", "Drag to zoom"]].map(([id, words]) =>
-      h("button", { class: "button", type: "button", "aria-pressed": String(this.drags === id), onclick: (e) => {
-        this.drags = id;
-        for (const other of e.target.parentNode.children) other.setAttribute("aria-pressed", String(other === e.target));
-      } }, words));
     this.plots = h("div", { class: "wb-plots" });
     this.list = h("div", { class: "wb-sections" });
     fill(this.root,
-      h("div", { class: "row spread" }, h("div", { class: "row segments", role: "group", "aria-label": "What dragging does" }, modes),
+      h("div", { class: "row" },
+        this.segments("What dragging does", [["select", "Drag to select a section"], ["zoom", "Drag to zoom"]], "drags"),
+        this.segments("Axes of PV and OP", AXES, "axes", () => this.draw()),
         h("span", { class: "soft hint" }, h("kbd", null, "["), " and ", h("kbd", null, "]"), " start and end a section at the cursor; ", h("kbd", null, "Shift"), "-drag moves the view")),
       this.plots, this.list);
-    const common = { sync: SYNC, time: true, height: 200, spans: () => this.spans(), marks: () => this.marks(), onSelect: (from, to) => this.selected(from, to), onView: () => this.viewed(), onReset: () => this.viewed(true) };
-    const upper = this.charts.line(this.plots, { ...common, label: `Process variable of ${this.one.name}`, yLabel: pvUnit ? `PV, ${pvUnit}` : "PV", series: [
-      { key: "sp", label: "SP", ink: "--sp", unit: pvUnit, stepped: true, dash: [5, 4] },
-      { key: "pv", label: "PV", ink: "--pv", unit: pvUnit },
-    ] });
-    const lower = this.charts.line(this.plots, { ...common, label: `Controller output of ${this.one.name}`, yLabel: opUnit ? `OP, ${opUnit}` : "OP", height: 170, series: [
-      { key: "op", label: "OP", ink: "--op", unit: opUnit, stepped: true },
-      { key: "mv", label: "MV", ink: "--mv", unit: opUnit },
-    ] });
-    this.drawn = [upper, lower];
     this.plots.addEventListener("keydown", (e) => this.key(e));
-    this.setData(this.whole, false);
+    this.draw();
     this.drawList();
   }
 
+  /** One of several, kept in `this[name]`. */
+  segments(label, all, name, chosen = () => {}) {
+    const { h } = this;
+    const buttons = all.map(([id, words]) => h("button", { class: "button", type: "button", "aria-pressed": String(this[name] === id), onclick: (e) => {
+      this[name] = id;
+      for (const other of e.target.parentNode.children) other.setAttribute("aria-pressed", String(other === e.target));
+      chosen();
+    } }, words));
+    return h("div", { class: "row segments", role: "group", "aria-label": label }, buttons);
+  }
+
+  /** The charts; the shown range stays. */
+  draw() {
+    const [opUnit, pvUnit] = this.one.units;
+    const view = this.drawn?.[0].zoomed ? this.drawn[0].view() : null;
+    this.removeCharts();
+    const common = { sync: SYNC, time: true, height: 200, spans: () => this.spans(), marks: () => this.marks(), onSelect: (from, to) => this.selected(from, to), onView: () => this.viewed(), onReset: () => this.viewed(true) };
+    const right = this.axes === "double";
+    const [ofPv, ofOp] = [pvUnit ? `PV, ${pvUnit}` : "PV", opUnit ? `OP, ${opUnit}` : "OP"];
+    const pv = [{ key: "sp", label: "SP", ink: "--sp", unit: pvUnit, stepped: true, dash: [5, 4] }, { key: "pv", label: "PV", ink: "--pv", unit: pvUnit }];
+    const op = [{ key: "op", label: "OP", ink: "--op", unit: opUnit, stepped: true, right }, { key: "mv", label: "MV", ink: "--mv", unit: opUnit, right }];
+    const chart = (options) => this.charts.line(this.plots, { ...common, ...options });
+    this.drawn = this.axes === "apart"
+      ? [chart({ label: `Process variable of ${this.one.name}`, yLabel: ofPv, series: pv }), chart({ label: `Controller output of ${this.one.name}`, yLabel: ofOp, series: op, height: 170 })]
+      : [chart({ label: `Process variable and controller output of ${this.one.name}`, yLabel: right ? ofPv : `${ofPv}; ${ofOp}`, rightLabel: right ? ofOp : null, series: [...pv, ...op], height: 320 })];
+    this.setData(this.whole, false);
+    if (view) this.drawn[0].setView(...view, { byUser: true });
+  }
+
   setData(record, keepView) {
-    const x = record.t_ms;
-    this.drawn[0].setData({ x, pv: record.pv, ...(record.sp ? { sp: record.sp } : {}) }, { keepView });
-    this.drawn[1].setData({ x, op: record.op, ...(record.mv ? { mv: record.mv } : {}) }, { keepView });
+    const { t_ms: x, op, pv, sp, mv } = record;
+    const data = { x, op, pv, ...(sp ? { sp } : {}), ...(mv ? { mv } : {}) };
+    for (const chart of this.drawn) chart.setData(data, { keepView });
   }
 
   /** After zooming: the same stretch again with as many points as the screen has. */
@@ -217,9 +235,13 @@ export class Trend {
       this.sections.length ? h("ol", { class: "wb-section-list" }, this.sections.map((s, k) => this.row(s, k))) : none);
   }
 
-  end() {
+  removeCharts() {
     clearTimeout(this.settling);
     for (const chart of this.drawn ?? []) chart.destroy();
     this.drawn = null;
+  }
+
+  end() {
+    this.removeCharts();
   }
 }

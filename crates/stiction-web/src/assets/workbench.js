@@ -1,8 +1,10 @@
 // The workbench: open files, choose sections and options, run, look, compare. The numbers are those of the commands.
 
-import { Files } from "./workbench-files.js";
+import { Files, called } from "./workbench-files.js";
 import { Form, history } from "./workbench-form.js";
 import { showGap } from "./workbench-gap.js";
+import { help } from "./workbench-help.js";
+import { Preview } from "./workbench-preview.js";
 import { showEstimate } from "./workbench-result.js";
 import { Runs, over } from "./workbench-runs.js";
 import { Choices, choicesOf, order, undoKeys } from "./workbench-state.js";
@@ -16,6 +18,22 @@ export function show(root, context) {
   const bench = new Bench(root, context);
   bench.start();
   return () => bench.end();
+}
+
+/** What is known of a loop before any run. */
+function processFacts({ h }, format, one) {
+  const units = one.units.some(Boolean) ? one.units.map((unit, k) => `${["OP", "PV"][k]} ${unit ?? "–"}`).join(", ") : null;
+  const rows = [
+    ["Loop", called(one)],
+    ["Sampling time", one.ts_s === null ? "–" : `${format.number(one.ts_s)} s`],
+    ["Samples", format.integer(one.samples)],
+    ["Length", one.start_ms === null ? "–" : format.duration((one.end_ms - one.start_ms) / 1000)],
+    ["Start", format.dateTime(one.start_ms)],
+    ["Signals", one.columns.map((name) => name.toUpperCase()).join(", ")],
+    ["Units", units],
+    ["Tags and note", one.about],
+  ];
+  return rows.filter(([, value]) => value).map(([name, value]) => h("div", null, h("dt", null, name), h("dd", null, value)));
 }
 
 class Bench {
@@ -32,20 +50,25 @@ class Bench {
       return h("section", { class: `card wb-part wb-${name}`, "aria-label": label }, title ? h("h2", null, title) : null, this[name]);
     };
     this.note = h("p", { class: "problem", role: "alert", hidden: true });
-    this.go = h("button", { class: "button primary wb-go", type: "button", onclick: () => this.run() }, "Run");
+    this.unfold = h("button", { class: "button wb-unfold", type: "button", "aria-expanded": "false", onclick: () => this.fold(!this.setup.classList.contains("open")) }, "Choices");
+    this.toResult = h("button", { class: "button quiet", type: "button", hidden: true, onclick: () => this.look() }, "Result");
+    this.go = h("button", { class: "button primary wb-go", type: "button", onclick: () => this.run() }, "Run estimate");
     this.full = h("button", { class: "button", type: "button", "aria-pressed": "false", onclick: () => this.fullScreen() }, "Full screen");
     this.progress = h("div", { class: "wb-under-way" });
     this.side = h("div", { class: "wb-side" }, part("files", "Files", "Files"), this.setup = h("section", { class: "card wb-part wb-setup", "aria-label": "Settings" },
-      h("h2", null, "Choices"), this.form = h("div", { class: "wb-form" }), this.steps = h("div", { class: "wb-steps" })));
+      h("h2", null, "Choices"), this.unfold,
+      h("div", { class: "wb-choices" }, this.form = h("div", { class: "wb-form" }), this.steps = h("div", { class: "wb-steps" })),
+      h("div", { class: "row wb-run" }, this.go, this.toResult),
+      h("div", { class: "wb-status" }, this.note, this.progress)));
     this.title = h("h2", null, "Result");
     this.main = h("div", { class: "wb-main" },
       this.empty = h("section", { class: "card wb-empty", "aria-label": "Getting started" }),
-      this.trendPart = h("section", { class: "card wb-part", "aria-label": "Trend and sections" }, this.trendTitle = h("h2", null, "Trend"), this.trend = h("div"),
-        h("div", { class: "row wb-run" }, this.go, h("span", { class: "soft" }, h("kbd", null, "Ctrl"), " ", h("kbd", null, "Enter")), this.note), this.progress),
-      this.resultPart = h("section", { class: "card wb-part", "aria-label": "Result" }, this.title, this.result = h("div", { class: "wb-result" })),
-      this.tablePart = h("section", { class: "card wb-part", "aria-label": "Runs compared" }, this.table = h("div")));
+      this.tablePart = h("section", { class: "card wb-part", "aria-label": "Runs compared" }, this.table = h("div")),
+      this.trendPart = h("section", { class: "card wb-part", "aria-label": "Trend and sections" }, this.trendTitle = h("h2", null, "Trend"),
+        this.facts = h("dl", { class: "facts wb-process", "aria-label": "Process information" }), this.trend = h("div"), this.preview = h("div", { class: "wb-preview" })),
+      this.resultPart = h("section", { class: "card wb-part", "aria-label": "Result" }, this.title, this.result = h("div", { class: "wb-result" })));
     this.page = h("div", { class: "wb" },
-      h("div", { class: "row spread wb-head" }, h("h1", null, "Workbench"), h("div", { class: "row" }, this.full)),
+      h("div", { class: "row spread wb-head" }, h("h1", null, "Workbench"), h("div", { class: "row" }, h("button", { class: "button", type: "button", title: "Key: ?", onclick: () => this.help() }, "Help"), this.full)),
       h("div", { class: "wb-body" }, this.side, this.main));
     this.fill(this.root, this.page);
     this.fill(this.empty, h("h2", null, "Open a file to start"),
@@ -61,7 +84,8 @@ class Bench {
     this.listen();
     this.fileList = new Files(this.files, context, { chosen: (file, one) => this.chooseLoop(file, one), changed: () => this.arrange() });
     this.trends = new Trend(this.trend, context, { sections: (sections, words) => choices.change({ sections }, words) });
-    this.runs = new Runs(this.progress, this.table, context, { shown: (job) => this.showResult(job), changed: () => this.runsChanged(), again: (job) => this.again(job) });
+    this.previews = new Preview(this.preview, context);
+    this.runs = new Runs(this.progress, this.table, context, { shown: (job) => this.showResult(job), looked: () => this.look(), called: (job) => this.called(job), changed: () => this.runsChanged(), again: (job) => this.again(job) });
     this.arrange();
     try {
       this.options = await this.api.get("/workbench/options");
@@ -84,7 +108,9 @@ class Bench {
       undoKeys(choices, (words) => this.announce(words)),
       this.on(document, "fullscreenchange", () => this.full.setAttribute("aria-pressed", String(document.fullscreenElement !== null))),
       this.on(document, "keydown", (e) => {
-        if (e.key === "Enter" && (e.ctrlKey || e.metaKey) && !this.go.disabled && !e.target.closest("dialog")) this.run();
+        if (e.target.closest("dialog")) return;
+        if (e.key === "Enter" && (e.ctrlKey || e.metaKey) && !this.go.disabled) this.run();
+        if (e.key === "?" && !e.target.closest("input:not([type=checkbox]), textarea, select")) this.help();
       }),
     ];
   }
@@ -99,6 +125,35 @@ class Bench {
     else this.page.requestFullscreen().catch((error) => this.announce(`Full screen is not available: ${error.message}`));
   }
 
+  /** Opens the help. */
+  help() {
+    const one = this.loop();
+    help(this.dom, one?.samples ?? 0, (patch, words) => choices.change(patch, words));
+  }
+
+  /** The loop that is looked at. */
+  loop() {
+    const { file, loop } = choices.now;
+    return this.fileList?.find(file)?.loops.find((one) => one.name === loop);
+  }
+
+  /** What a run's loop is called. */
+  called(job) {
+    const one = this.fileList?.find(job.request.file)?.loops.find((l) => l.name === job.request.loop);
+    return one ? called(one) : job.request.loop;
+  }
+
+  /** Where the choices have no place beside the charts, they fold. */
+  fold(open) {
+    this.setup.classList.toggle("open", open);
+    this.unfold.setAttribute("aria-expanded", String(open));
+  }
+
+  /** Brings the result into view. */
+  look() {
+    this.resultPart.scrollIntoView({ block: "start" });
+  }
+
   /** A person chose a loop, or closed the file that was looked at. */
   chooseLoop(file, one) {
     const words = one ? `Loop ${one.name}` : "File closed";
@@ -107,7 +162,8 @@ class Bench {
 
   showLoop(file, one) {
     this.fileList.choose(file?.id ?? null, one?.name ?? null);
-    this.fill(this.trendTitle, one ? `Trend of ${one.name}` : "Trend");
+    this.fill(this.trendTitle, one ? `Trend of ${called(one)}` : "Trend");
+    this.fill(this.facts, one ? processFacts(this.dom, this.context.format, one) : null);
     this.trends.show(file, one ?? null, choices.now.sections);
     this.arrange();
   }
@@ -138,15 +194,18 @@ class Bench {
 
   /** Shows only what there is something to do with. */
   arrange() {
-    const there = Boolean(choices.now.loop && this.fileList?.find(choices.now.file));
+    const one = this.loop();
+    const there = Boolean(one);
+    this.previews?.show(one ?? null, choices.now, order(choices.now, () => "refit"));
     const runs = this.runs?.jobs.length > 0;
     this.empty.hidden = there || runs;
     this.trendPart.hidden = !there;
     this.setup.hidden = !there;
     this.resultPart.hidden = !runs;
     this.tablePart.hidden = !runs;
+    this.toResult.hidden = !runs;
     this.go.disabled = !there;
-    this.go.textContent = choices.now.kind === "gap" ? "Diagnose the gap" : "Estimate";
+    this.go.textContent = choices.now.kind === "gap" ? "Diagnose the gap" : "Run estimate";
   }
 
   async run() {
@@ -156,6 +215,7 @@ class Bench {
       // What is typed but not yet left counts too.
       document.activeElement?.dispatchEvent(new Event("change", { bubbles: true }));
       await this.runs.order(order(choices.now, (base) => this.runs.document(base)));
+      this.fold(false);
       this.announce("The run has started");
     } catch (error) {
       this.fill(this.note, error.message).hidden = false;
@@ -171,7 +231,7 @@ class Bench {
     this.result.style.minHeight = `${this.result.offsetHeight}px`;
     setTimeout(() => (this.result.style.minHeight = ""), 1000);
     if (!job) return fill(this.result);
-    fill(this.title, `Run ${this.runs.number(job)}: ${job.request.kind === "gap" ? "gap" : "estimate"} of ${job.request.loop}`);
+    fill(this.title, `Run ${this.runs.number(job)}: ${job.request.kind === "gap" ? "gap" : "estimate"} of ${this.called(job)}`);
     const one = this.fileList?.find(job.request.file)?.loops.find((l) => l.name === job.request.loop);
     const context = { ...this.context, h, fill, problem: this.dom.problem, units: one?.units ?? [null, null] };
     if (job.error) return fill(this.result, h("p", { class: "problem" }, job.error));
@@ -188,6 +248,7 @@ class Bench {
     this.ends.forEach((end) => end());
     this.fileList.end();
     this.trends.end();
+    this.previews.end();
     this.runs.end();
   }
 }
