@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use stiction_files::RecordingReader;
+use stiction_files::{RecordingReader, log_topic};
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use zenoh::Wait;
 
@@ -346,6 +346,9 @@ pub fn documents(file: &Path, kind: Kind) -> Vec<(String, Value)> {
     let Ok(mut reader) = RecordingReader::open(file) else { return Vec::new() };
     let mut found = Vec::new();
     while let Some(message) = reader.next_message().unwrap() {
+        if message.topic() == log_topic(PREFIX) {
+            continue;
+        }
         let topic = Topic::parse(Some(PREFIX), message.topic()).expect("a topic below the prefix");
         if topic.leaf == Leaf::Document(kind) {
             found.push((topic.loop_name.to_owned(), serde_json::from_slice(message.data).unwrap()));

@@ -13,7 +13,9 @@ from daemon import ROOT, Daemon, free_port, stictiond
 RECORDING = ROOT / "recordings" / "four-loops.mcap"
 LAYOUT = ROOT / "config" / "foxglove-layout.json"
 # Panels that both programs have, and where their message paths stand.
-PANELS = {"Plot", "StateTransitions", "Table", "RawMessages"}
+PANELS = {"Plot", "StateTransitions", "Table", "RawMessages", "RosOut"}
+# What the log panel, called RosOut in layouts, shows: only a daemon records it.
+LOG_TOPIC = "area2/@stiction/v1/@plant/log"
 
 
 def message_path(text):
@@ -57,6 +59,9 @@ def test_the_foxglove_layout_finds_its_topics_in_a_recording(folder):
     for name, panel in panels.items():
         kind = name.split("!")[0]
         assert kind in PANELS, name
+        if kind == "RosOut":
+            assert panel["topicToRender"] == LOG_TOPIC
+            continue
         paths = [p["value"] for p in panel["paths"]] if "paths" in panel else [panel["topicPath"]]
         assert paths, name
         for text in paths:
@@ -75,6 +80,18 @@ def test_the_foxglove_layout_finds_its_topics_in_a_recording(folder):
     # The way to another loop that the page shows leaves nothing behind.
     text = LAYOUT.read_text(encoding="utf-8").replace("area2", "plant1/area1").replace("FIC201", "FIC101")
     assert "area2" not in text and '\\"plant1/area1/@stiction/v1/FIC101/estimate\\".s"' in text
+
+
+def logged(recordings):
+    """Log messages of a daemon's recordings, as the log panel needs them."""
+    found = []
+    for path in sorted(recordings.glob("*.mcap")):
+        with path.open("rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages(topics=[LOG_TOPIC]):
+                assert (schema.name, schema.encoding, channel.message_encoding) == ("foxglove.Log", "jsonschema", "json")
+                assert json.loads(schema.data)["type"] == "object" and "http" not in schema.data.decode()
+                found.append(json.loads(message.data))
+    return found
 
 
 def test_results_come_into_pandas_from_recordings_and_live(folder):
@@ -108,6 +125,9 @@ def test_results_come_into_pandas_from_recordings_and_live(folder):
         with Live(endpoint, "area2") as late:
             assert len(late.frames.estimates) == 4
         daemon.stop()
+    log = logged(daemon.recordings)
+    assert {(one["name"], one["level"]) for one in log} >= {("FIC201", 4), ("LIC202", 4)}, log
+    assert all(one["message"] and 0 <= one["timestamp"]["nsec"] < 10**9 for one in log)
     both = live.frames.estimates.merge(estimates, on=["loop", "time"], suffixes=("_live", "_recorded"))
     both = both[both["verdict_live"] != "inconclusive"]
     assert len(both) >= 12, len(both)

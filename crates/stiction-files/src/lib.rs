@@ -1,5 +1,6 @@
 //! Files: recordings (MCAP), tables (CSV and exports), compact stores (MATLAB). The content decides the type, not the name.
 
+mod alarm_log;
 pub mod archive;
 pub mod columns;
 pub mod compact;
@@ -24,6 +25,7 @@ pub mod seal;
 pub mod store;
 pub mod transfer;
 
+pub use alarm_log::{LOG_SCHEMA, log_topic};
 pub use mcap_index::MAX_RECORD;
 pub use mcap_read::{Channel, End, Item, Message, RawSample, ReadError, RecordingReader};
 pub use mcap_write::{MAX_CHANNELS, RecordingFile, WriteError, sync_folder};

@@ -6,6 +6,7 @@
 
 mod samples;
 
+use super::alarm_log::{self, LOG_SCHEMA, log_message, log_topic};
 use super::columns::{self, Columns};
 use super::disk::{Disk, DiskFile, Handle, SystemDisk};
 use super::mcap_roster::{Listed, Roster};
@@ -272,6 +273,15 @@ impl RecordingFile {
         self.with_writer(|writer| writer.write_to_known_channel(&header, payload))
     }
 
+    /// Appends the log message of an alarm, for viewers.
+    ///
+    /// # Errors
+    /// As [`RecordingFile::write`].
+    pub fn log_alarm(&mut self, log_time_ns: i64, publish_time_ns: i64, alarm: &[u8]) -> Result<(), WriteError> {
+        let Some(message) = log_message(alarm) else { return Ok(()) };
+        self.copy(&log_topic(&self.prefix), None, "json", log_time_ns, publish_time_ns, &message)
+    }
+
     /// Closes the open chunk and waits until it is on the disk; does nothing if there are no new messages.
     ///
     /// # Errors
@@ -383,6 +393,10 @@ impl RecordingFile {
         }
         let schema = match kind.map(|kind| (kind, self.schemas.get(&kind))) {
             None if encoding == columns::ENCODING => self.add_columns_schema()?,
+            None if encoding == "json" && topic == log_topic(&self.prefix) => {
+                let text = alarm_log::schema().to_string();
+                self.with_writer(|w| w.add_schema(LOG_SCHEMA, "jsonschema", text.as_bytes()))?
+            }
             // A schema that is not ours is not known: number 0 is none.
             None => 0,
             Some((_, Some(id))) => *id,

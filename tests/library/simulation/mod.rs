@@ -33,8 +33,8 @@ use stiction::verdict::{Assessment, Oscillation, Verdict, Window};
 use stiction_daemon::gaps::Outcome;
 use stiction_daemon::sim_daemon::SimDaemon;
 use stiction_daemon::source::Message;
-use stiction_files::RecordingReader;
 use stiction_files::disk::Disk;
+use stiction_files::{RecordingReader, log_topic};
 use stiction_monitor::alarm::Command;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
@@ -495,6 +495,9 @@ impl Simulation {
             }
             let mut reader = RecordingReader::open(&entry.path()).unwrap();
             while let Some(message) = reader.next_message().unwrap() {
+                if message.topic() == log_topic(PREFIX) {
+                    continue;
+                }
                 let topic = Topic::parse(Some(PREFIX), message.topic()).expect("a topic of ours");
                 let at_open = topic.leaf == Leaf::Document(Kind::State)
                     && serde_json::from_slice::<serde_json::Value>(message.data).unwrap()["window_end_ns"].is_null();

@@ -368,7 +368,18 @@ impl Writer {
                 let arrival = self.last_arrival_ns;
                 let write = |file: &mut RecordingFile, topic: &str| file.write(topic, kind, arrival, event_ns, &json);
                 self.write(id, &name, (kind, None), write);
+                if kind == Kind::Alarm {
+                    self.log_alarm(shard_of(id), event_ns, &json);
+                }
             }
+        }
+    }
+
+    /// Repeats an alarm for viewers; it does not count as a message of its own.
+    fn log_alarm(&mut self, index: usize, event_ns: i64, json: &[u8]) {
+        let Some(file) = self.shards.get_mut(index).and_then(|shard| shard.file.as_mut()) else { return };
+        if let Err(error) = file.log_alarm(self.last_arrival_ns, event_ns, json) {
+            self.fail(index, &error.to_string());
         }
     }
 

@@ -45,6 +45,41 @@ fn every_file_is_whole_at_the_end() {
     assert_eq!(names.filter(|name| name.ends_with(".mcap")).count(), 3);
 }
 
+#[test]
+fn each_alarm_is_repeated_as_a_log_message_on_one_topic() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut config = Config::with_prefix("p");
+    config.recording.dir = dir.path().to_str().unwrap().to_owned();
+    let mut engine = stiction_monitor::engine::Engine::new(config.engine());
+    let metrics = Arc::<Metrics>::default();
+    let (mut recorder, thread) = Recorder::start(run(), config.recording, metrics.clone(), Arc::default()).unwrap();
+    recorder.record(Item::Open { shard: 0, states: Vec::new() });
+    for name in ["A", "B"] {
+        let id = engine.appear(name).unwrap();
+        let document = stiction_monitor::alarm::Alarm::default().restored(name);
+        let json = serde_json::to_vec(&document).unwrap();
+        recorder.record(Item::Document { id, name: name.into(), kind: Kind::Alarm, json, event_ns: 5 });
+    }
+    drop(recorder);
+    thread.join().unwrap();
+    assert_eq!((metrics.recorded.get(), metrics.recording_lost.get()), (2, 0), "a repeated alarm does not count");
+    let file = std::fs::read_dir(dir.path())
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .find(|p| p.extension().is_some_and(|e| e == "mcap"))
+        .unwrap();
+    let mut reader = stiction_files::RecordingReader::open(&file).unwrap();
+    let mut logged = Vec::new();
+    while let Some(item) = reader.next_item().unwrap() {
+        let stiction_files::Item::Message(message) = item else { continue };
+        if message.topic() == stiction_files::log_topic("p") {
+            let log: serde_json::Value = serde_json::from_slice(message.data).unwrap();
+            logged.push((log["name"].as_str().unwrap().to_owned(), log["level"].as_u64().unwrap()));
+        }
+    }
+    assert_eq!(logged, [("A".to_owned(), 2), ("B".to_owned(), 2)]);
+}
+
 /// A disk that is full while it is told so.
 #[derive(Clone, Default)]
 struct FillingDisk(Arc<AtomicBool>);
