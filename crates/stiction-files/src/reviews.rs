@@ -98,7 +98,8 @@ fn begins_formula(cell: &str) -> bool {
 }
 
 /// A cell as it is written: never a formula.
-fn escaped(cell: &str) -> String {
+#[must_use]
+pub fn escaped(cell: &str) -> String {
     if begins_formula(cell) { format!("'{cell}") } else { cell.to_owned() }
 }
 

@@ -9,6 +9,7 @@ pub mod data_health;
 pub mod faults;
 pub mod health;
 pub mod last_values;
+pub mod maintenance;
 pub mod metrics;
 pub mod overview;
 pub mod queue;

@@ -3,6 +3,7 @@
 //! Only the newest of each document is held, and a few figures of the windows before it; what lies further back is in the
 //! recordings.
 
+mod candidates;
 mod expected;
 mod groups;
 mod obstacles;
@@ -20,6 +21,7 @@ use stiction::verdict::{EstimateDocument, Gate, Verdict, words};
 use stiction_monitor::alarm::{AlarmDocument, LoopContext, Priority, State};
 use stiction_monitor::engine::LoopFigures;
 
+pub use candidates::Candidate;
 pub use groups::{Membership, ShownGroup, ShownGroups};
 pub use obstacles::{Looked, Obstacle, ObstacleKind, Obstacles};
 pub use share::{KeptHealth, SharePoint};

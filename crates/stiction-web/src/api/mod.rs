@@ -6,12 +6,14 @@ mod curves;
 mod events;
 mod groups;
 mod loops;
+mod maintenance;
 mod obstacles;
 mod over_time;
 mod past;
 mod reviews;
 pub mod site;
 mod window;
+mod worth;
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -80,6 +82,7 @@ pub struct Live {
     pub started_ns: i64,
     /// What to know of the data before anything else.
     pub note: Option<&'static str>,
+    worth: worth::Worth,
     review_rate: Mutex<Rate>,
     started: Instant,
     looks: Semaphore,
@@ -117,6 +120,7 @@ impl Live {
         let started_ns = now_ns();
         let review_rate = Mutex::new(Rate::new(reviews::PER_MINUTE / 60.0, reviews::AT_ONCE));
         Self {
+            worth: worth::Worth::default(),
             review_rate,
             started: Instant::now(),
             overview,
@@ -243,6 +247,7 @@ pub fn operations() -> Vec<Operation<Shared>> {
         groups::operations(),
         configuration::operations(),
         obstacles::operations(),
+        maintenance::operations(),
     ]
     .into_iter()
     .flatten()

@@ -15,7 +15,7 @@ use crate::error::ApiError;
 use crate::extract::PathName;
 use stiction::ident::fit_plots::FitPlots;
 use stiction::record::{Record, Signal};
-use stiction::repair::{Repair, RepairParams, repair};
+use stiction::repair::{NoRepair, Repair, RepairParams, repair};
 use stiction::units::{file_stem_of, ms_from_ns, ns_from_s};
 use stiction::verdict::EstimateDocument;
 use stiction_files::LoadedLoop;
@@ -255,10 +255,14 @@ pub fn drawing((k, figure): (usize, &Figure)) -> Drawn {
 }
 
 async fn buys(State(live): State<Shared>, PathName(name): PathName) -> Answered<Repair> {
-    let Estimated { document, record, settings } = live.estimated(&name).await?;
+    simulated(&live, &name).await?.map(Json).map_err(|why| ApiError::unfit(why.to_string()))
+}
+
+/// Simulates the repair of a loop by its newest estimate.
+pub(super) async fn simulated(live: &Shared, name: &str) -> Result<Result<Repair, NoRepair>, ApiError> {
+    let Estimated { document, record, settings } = live.estimated(name).await?;
     let params = RepairParams { op_range: settings.assess.op_range, ..RepairParams::default() };
-    let told = live.on_a_thread(move || repair(&record, &document.assessment, &params)).await?;
-    told.map(Json).map_err(|why| ApiError::unfit(why.to_string()))
+    live.on_a_thread(move || repair(&record, &document.assessment, &params)).await
 }
 
 async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {

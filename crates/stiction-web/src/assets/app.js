@@ -31,10 +31,11 @@ const context = { api, charts, dialog, dom, format, pictures, announce, live, st
 const ROUTES = [
   { path: /^$/, at: "", name: "Overview", module: "./overview.js", live: true },
   { path: /^alarms$/, at: "alarms", name: "Alarms", module: "./alarms.js", live: true },
+  { path: /^maintenance$/, at: "maintenance", name: "Maintenance", short: ["Maint", "enance"], module: "./maintenance.js", live: true },
   { path: /^groups$/, at: "groups", name: "Plant", module: "./groups.js", live: true },
   { path: /^obstacles$/, at: "obstacles", name: "Data", module: "./obstacles.js", live: true },
   { path: /^loop\/(.+)$/, name: "Loop", module: "./loop.js", live: true },
-  { path: /^workbench(?:\/.*)?$/, at: "workbench", name: "Workbench", bench: { module: "./workbench.js", style: "workbench.css" }, module: "./workbench-link.js" },
+  { path: /^workbench(?:\/.*)?$/, at: "workbench", name: "Workbench", short: ["Work", "bench"], bench: { module: "./workbench.js", style: "workbench.css" }, module: "./workbench-link.js" },
 ];
 
 let shown = null;
@@ -54,9 +55,12 @@ function drawNav(path) {
   const links = ROUTES.filter((r) => r.at !== undefined && !(isBench() && r.live));
   // Whoever stands on a link stays there.
   const held = nav.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
-  fill(nav, links.map((r) => h("a", { href: `#/${r.at}`, "aria-current": r.path.test(path) ? "page" : null }, r.name, r.at === "alarms" ? alarmCount(waiting) : null)));
+  fill(nav, links.map((r) => h("a", { href: `#/${r.at}`, "aria-current": r.path.test(path) ? "page" : null, "aria-label": r.short ? r.name : null }, label(r), r.at === "alarms" ? alarmCount(waiting) : null)));
   if (held) nav.querySelector(`a[href="${held}"]`)?.focus();
 }
+
+/** A link's name; its end is left out on narrow screens. */
+const label = ({ name, short }) => (short ? h("span", null, short[0], h("span", { class: "rest" }, short[1])) : name);
 
 function alarmCount(n) {
   return n ? h("span", { class: "count", title: "unacknowledged" }, String(n), h("span", { class: "unseen" }, " unacknowledged")) : null;
