@@ -9,8 +9,9 @@ use tokio::sync::Semaphore;
 
 use super::Shared;
 use super::curves::recorded_within;
-use super::past::{PastWindow, windows};
+use super::past::windows;
 use super::window::simulated;
+use stiction::over_time::WindowResult;
 use stiction::record::Signal;
 use stiction::signal::stats::std_dev;
 use stiction::units::ns_from_s;
@@ -148,46 +149,65 @@ async fn benefit(live: &Shared, name: &str) -> Option<Benefit> {
     }
 }
 
+/// The last windows with an answer that end before a date, and the last that start after it.
+fn sides(all: &[WindowResult], date_ns: i64) -> [Vec<&WindowResult>; 2] {
+    let last = |is_of: &dyn Fn(&WindowResult) -> bool| {
+        let side: Vec<&WindowResult> = all.iter().filter(|w| w.stiction.is_some() && is_of(w)).collect();
+        side[side.len().saturating_sub(WINDOWS)..].to_vec()
+    };
+    [last(&|w| w.end_ns <= date_ns), last(&|w| w.start_ns >= date_ns)]
+}
+
+/// Compares around the window that was reviewed: the data's clock may differ from that of whoever wrote the review.
 fn compared(live: &Shared, review: &Review, newest_ns: i64) -> Compared {
-    let (at_ns, stretch_ns) = (review.at.0, ns_from_s(STRETCH_S));
-    let range_ns = [at_ns.saturating_sub(stretch_ns), at_ns.saturating_add(stretch_ns)];
+    let (date_ns, stretch_ns) = (review.window_end.0, ns_from_s(STRETCH_S));
+    let range_ns = [date_ns.saturating_sub(stretch_ns), date_ns.saturating_add(stretch_ns)];
     let (all, mut reach) = windows(live, &review.r#loop, range_ns);
-    let answered = |w: &&PastWindow| w.result.stiction.is_some();
-    let mut before: Vec<&PastWindow> = all.iter().filter(answered).filter(|w| w.result.end_ns <= at_ns).collect();
-    let mut after: Vec<&PastWindow> = all.iter().filter(answered).filter(|w| w.result.start_ns >= at_ns).collect();
-    for side in [&mut before, &mut after] {
-        side.drain(..side.len().saturating_sub(WINDOWS));
-    }
-    let mut measured = |side: &[&PastWindow]| {
-        let (found, of_side) = measure(live, &review.r#loop, side);
+    let all: Vec<WindowResult> = all.into_iter().map(|w| w.result).collect();
+    let [before, after] = sides(&all, date_ns).map(|side| {
+        let (found, of_side) = measure(live, &review.r#loop, &side);
         if of_side != Reach::All {
             reach = of_side;
         }
         found
-    };
-    let [before, after] = [measured(&before), measured(&after)];
+    });
     let outcome = maintenance::compare(&before, &after, review.label == Label::Stiction);
-    Compared { at_ns, newest_ns, outcome, complete: reach == Reach::All }
+    Compared { at_ns: review.at.0, newest_ns, outcome, complete: reach == Reach::All }
 }
 
 /// Windows with the standard deviation of their recorded PV.
-fn measure(live: &Shared, name: &str, side: &[&PastWindow]) -> (Vec<Measured>, Reach) {
-    let start = side.iter().map(|w| w.result.start_ns).min();
-    let Some((start_ns, end_ns)) = start.zip(side.iter().map(|w| w.result.end_ns).max()) else {
+fn measure(live: &Shared, name: &str, side: &[&WindowResult]) -> (Vec<Measured>, Reach) {
+    let start = side.iter().map(|w| w.start_ns).min();
+    let Some((start_ns, end_ns)) = start.zip(side.iter().map(|w| w.end_ns).max()) else {
         return (Vec::new(), Reach::All);
     };
     let (one, reach) = recorded_within(&live.archive, name, &[Signal::Op, Signal::Pv], [start_ns, end_ns]);
     let points = Points::of(name, &one.samples, &live.config.get()).samples(Section::Whole).unwrap_or_default();
-    let pv_sd = |w: &PastWindow| {
-        let within = points.iter().filter(|p| (w.result.start_ns..=w.result.end_ns).contains(&p.t_ns));
+    let pv_sd = |w: &WindowResult| {
+        let within = points.iter().filter(|p| (w.start_ns..=w.end_ns).contains(&p.t_ns));
         let pv: Vec<f64> = within.map(|p| p.pv).filter(|pv| pv.is_finite()).collect();
         (pv.len() > 1).then(|| std_dev(&pv))
     };
-    let of = |w: &&PastWindow| Measured {
-        stiction: w.result.stiction,
-        p: w.result.p_stiction,
-        s: w.result.s,
-        pv_sd: pv_sd(w),
-    };
+    let of = |w: &&WindowResult| Measured { stiction: w.stiction, p: w.p_stiction, s: w.s, pv_sd: pv_sd(w) };
     (side.iter().map(of).collect(), reach)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_windows_on_each_side_of_a_date_are_compared_and_none_across_it() {
+        let window = |k: i64| WindowResult {
+            start_ns: 10 * k,
+            end_ns: 10 * k + 15,
+            stiction: (k != 3).then_some(true),
+            ..WindowResult::default()
+        };
+        let all: Vec<WindowResult> = (0..30).map(window).collect();
+        let starts = |side: &[&WindowResult]| side.iter().map(|w| w.start_ns / 10).collect::<Vec<_>>();
+        let [before, after] = sides(&all, 55);
+        assert_eq!(starts(&before), [0, 1, 2, 4]);
+        assert_eq!(starts(&after), (18..30).collect::<Vec<_>>());
+    }
 }
