@@ -13,7 +13,7 @@ use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::sim::slips::{FirstSlip, Law, Stroke};
 use stiction::sim::steps::{Path, Steps};
-use stiction::verdict::{AssessParams, assess, lets_go};
+use stiction::verdict::{AssessParams, assess, is_screened_out};
 use stiction_lab::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
 fn main() {
@@ -26,7 +26,7 @@ fn sticking() -> TruthLoop {
 
 fn calm() -> Record {
     let cases = (0..400).step_by(2).map(|seed| verdict_case(Half::Report, seed).record());
-    cases.into_iter().find(|r| r.len() >= 1_000 && lets_go(r, &AssessParams::default())).unwrap()
+    cases.into_iter().find(|r| r.len() >= 1_000 && is_screened_out(r, &AssessParams::default())).unwrap()
 }
 
 /// A valve law's path, bands and first slip, in spans of OP.

@@ -15,7 +15,7 @@ use stiction::gap::model_file::ModelFile;
 use stiction::ident::surface::solve;
 use stiction::record::{Record, Sample};
 use stiction::verdict::action::Action;
-use stiction::verdict::{AssessParams, lets_go, words};
+use stiction::verdict::{AssessParams, is_screened_out, words};
 use stiction_monitor::alarm::LoopContext;
 use stiction_monitor::analysis::plant::{OfPlant, judge_together};
 use stiction_monitor::analysis::solver::{self, SolverDocument};
@@ -216,7 +216,7 @@ pub fn screen(py: Python<'_>, name: &str, columns: Handed, look: Look) -> PyResu
         let points = Points::of(&name, &samples, &config());
         let most = points.settings.window.max_points;
         let (record, ..) = cut.record(&points, section, most).map_err(|e| e.to_string())?;
-        Ok(lets_go(&record, &points.settings.assess))
+        Ok(is_screened_out(&record, &points.settings.assess))
     };
     supervised(py, None, work)?.map_err(|e: String| StictionError::new_err(e))
 }

@@ -13,7 +13,7 @@ use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::sim::slips::{FirstSlip, Law, Stroke};
 use stiction::sim::steps::{Path as OpPath, Steps};
-use stiction::verdict::{AssessParams, assess, lets_go};
+use stiction::verdict::{AssessParams, assess, is_screened_out};
 use stiction_lab::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
 /// Rounds per kernel.
@@ -97,7 +97,7 @@ fn calm() -> Vec<Row> {
         .map(|seed| verdict_case(Half::Report, seed))
         .filter(|found| matches!(found.kind, "noise only" | "coloured" | "random walk"))
         .map(|found| found.record())
-        .find(|record| record.len() >= 1_000 && lets_go(record, &params));
+        .find(|record| record.len() >= 1_000 && is_screened_out(record, &params));
     let Some(record) = record else { return Vec::new() };
     let whole = AssessParams { screening: false, ..params.clone() };
     vec![

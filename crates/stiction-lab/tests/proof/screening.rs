@@ -7,7 +7,7 @@ use stiction::signal::stats;
 use stiction::sim::closed_loop::{ValveLaw, ValveModel};
 use stiction::sim::disturbance::Disturbance;
 use stiction::sim::noise::quantise;
-use stiction::verdict::{AssessParams, Assessment, P_CALM, SCREENED, Verdict, assess, lets_go};
+use stiction::verdict::{AssessParams, Assessment, P_CALM, SCREENED, Verdict, assess, is_screened_out};
 use stiction_lab::fixture::Draw;
 use stiction_lab::fixture::healthy::{drawn, healthy, settled};
 use stiction_lab::truth::{Half, Regime, accuracy, verdict_case};
@@ -18,7 +18,7 @@ fn params(screening: bool) -> AssessParams {
 
 /// The documents with and without screening, where that makes a difference; compares what both must say alike.
 fn both(name: &str, record: &Record) -> Option<[Assessment; 2]> {
-    if !lets_go(record, &params(true)) {
+    if !is_screened_out(record, &params(true)) {
         return None;
     }
     let [short, whole] = [true, false].map(|screening| assess(record, &params(screening)));
@@ -116,16 +116,16 @@ fn limit_cycles_oscillations_and_set_points_that_move_are_looked_at_in_full() {
     }
     for seed in 0..12 {
         let sine = |amplitude, period_s| vec![Disturbance::Sine { amplitude, period_s, phase_deg: 0.0 }];
-        assert!(!lets_go(&healthy(seed, [0.2, 0.5], sine), &params(true)), "sine {seed}");
+        assert!(!is_screened_out(&healthy(seed, [0.2, 0.5], sine), &params(true)), "sine {seed}");
         let model = drawn(seed, [0.2, 0.5], |_, _| vec![]).0;
         let moved = with_set_point(settled(model, seed, 80.0, 1200), |k| 80.0 + f64::from(u8::from(k > 600)));
-        assert!(!lets_go(&moved, &params(true)), "set point {seed}");
+        assert!(!is_screened_out(&moved, &params(true)), "set point {seed}");
     }
 }
 
 #[test]
 fn whoever_asks_for_a_fit_gets_one() {
-    let calm = (0..40).map(|seed| healthy(seed, [0.1, 0.3], |_, _| vec![])).find(|r| lets_go(r, &params(true)));
+    let calm = (0..40).map(|seed| healthy(seed, [0.1, 0.3], |_, _| vec![])).find(|r| is_screened_out(r, &params(true)));
     let found = assess(&calm.unwrap(), &AssessParams { always_fit: true, ..params(true) });
     // Its numbers are withheld where no plant would have them; that it was made, its search says.
     assert!(found.reason != Some(SCREENED) && found.search.is_some_and(|s| s.evaluations > 0));

@@ -7,10 +7,10 @@ use serde::Serialize;
 use super::AnalysisError;
 use crate::config::Config;
 use crate::engine::{LoopSettings, longest, section, windows};
-use stiction::ident::controller;
 use stiction::record::{Record, Sample, Signal, Value};
 use stiction::signal::align::{Point, align_all};
 use stiction::units::format_rfc3339;
+use stiction::verdict::swapped;
 
 /// Fewest usable samples, and fewest points after downsampling, for a fit.
 pub const MIN_SAMPLES: usize = 30;
@@ -119,13 +119,13 @@ impl Points {
         let gaps = || {
             format!("the section has data gaps: its longest stretch is analysed, {outside} other samples are not used")
         };
-        let swapped = || {
+        let names_swapped = || {
             "OP and PV look swapped: a controller would compute the signal named PV from the one named OP; check the tags"
                 .to_owned()
         };
         // Where the set point is known, a gate asks it.
-        let is_swapped = record.sp.is_none() && controller::is_swapped(&record);
-        let notes = (outside > 0).then(gaps).into_iter().chain(is_swapped.then(swapped)).collect();
+        let is_swapped = record.sp.is_none() && swapped::by_controller(&record);
+        let notes = (outside > 0).then(gaps).into_iter().chain(is_swapped.then(names_swapped)).collect();
         Ok((record, notes))
     }
 

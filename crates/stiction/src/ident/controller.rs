@@ -46,10 +46,6 @@ const EARNS: f64 = 0.7;
 const HELPS: f64 = 0.97;
 /// Share unexplained that counts as none.
 const EXACT: f64 = 1e-9;
-/// Points that are asked whether OP and PV are swapped, and the least share that the turned controller explains: one real process
-/// of 114 reads like a controller, with 0.95.
-const SWAP_POINTS: usize = 3000;
-const SWAP_R2: f64 = 0.98;
 /// Ways of reading that are looked at closely, and steps of golden section towards the best filter.
 const BEST_SHAPES: usize = 3;
 const REFINEMENTS: usize = 10;
@@ -98,18 +94,6 @@ pub fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> {
         }
     }
     best.filter(|r| r.r2 >= MIN_R2 && r.unexplained <= MOST_UNEXPLAINED)
-}
-
-/// Whether OP and PV stand under each other's names: no controller computes this OP from this PV, but one computes this PV from
-/// this OP, the set point left aside. `false` where neither shows.
-#[must_use]
-pub fn is_swapped(record: &Record) -> bool {
-    let given = Record { sp: None, ..record.part(0, SWAP_POINTS) };
-    if read(&given).is_some() {
-        return false;
-    }
-    let turned = Record::uniform(given.point_s(), given.pv.clone(), given.op());
-    read(&turned).is_some_and(|reading| reading.r2 >= SWAP_R2)
 }
 
 /// What the error is made of.
@@ -494,15 +478,6 @@ mod tests {
             assert!((found.kc / kc - 1.0).abs() < 1e-6 && (found.ti_s / 100.0 - 1.0).abs() < 1e-6, "{found:?}");
             assert_eq!((found.td_s, found.lag_samples, found.unexplained), (0.0, 0.0, 0.0));
         }
-    }
-
-    #[test]
-    fn swapped_signals_are_found() {
-        let pv = wave(600);
-        let op = pi(&pv, 50.0, 0.7, 20.0);
-        assert!(is_swapped(&Record::uniform(5.0, pv.clone(), op.clone())));
-        assert!(!is_swapped(&Record::uniform(5.0, op, pv.clone())));
-        assert!(!is_swapped(&Record::uniform(5.0, vec![50.0; 600], pv)), "no controller either way");
     }
 
     #[test]

@@ -69,7 +69,7 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
         out.reason = Some(if stuck { STUCK_SIGNAL } else { gate.name() });
         return out;
     }
-    if params.screening && !params.always_fit && screen::lets_go(record, &seen.looks, &seen.gates) {
+    if params.screening && !params.always_fit && screen::is_screened_out(record, &seen.looks, &seen.gates) {
         screen::answer(&mut out);
         return out;
     }
@@ -120,11 +120,11 @@ pub fn figures(record: &Record, windows: &[Record], params: &AssessParams) -> Re
     }
 }
 
-/// Whether [`assess`] with these parameters lets the record go as that of a calm loop; their `screening` aside.
+/// Whether screening rules the record out as that of a calm loop, whatever `params.screening` says.
 #[must_use]
-pub fn lets_go(record: &Record, params: &AssessParams) -> bool {
+pub fn is_screened_out(record: &Record, params: &AssessParams) -> bool {
     let seen = Seen::of(record, params);
-    seen.blocked().is_none() && screen::lets_go(record, &seen.looks, &seen.gates)
+    seen.blocked().is_none() && screen::is_screened_out(record, &seen.looks, &seen.gates)
 }
 
 /// What a record shows at once.

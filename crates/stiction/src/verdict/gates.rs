@@ -2,6 +2,7 @@
 
 use super::document::{Gate, Oscillation};
 use super::params::AssessParams;
+use super::swapped;
 use crate::record::Record;
 use crate::signal::stats;
 
@@ -16,10 +17,6 @@ const FROZEN_SHARE: f64 = 0.995;
 /// visible, so most of the window must be between the limits. And the width of an end, spans.
 const SATURATED_SHARE: f64 = 0.4;
 const END_WIDTH: f64 = 1e-3;
-/// Distances of the means of OP and PV from that of the set point, in standard deviations of each, at which the two seem to be
-/// swapped. None of 106 labelled recordings with a set point is taken for swapped; 75 of them are once OP and PV are exchanged.
-const NEAR_SET_POINT: f64 = 0.1;
-const FAR_FROM_SET_POINT: f64 = 2.0;
 /// Share of held or interpolated PV samples above which a history counts as compressed (a third, as in public tools).
 const COMPRESSED_SHARE: f64 = 0.3;
 /// Number of levels up to which a signal counts as quantised, and the quantum in standard deviations.
@@ -41,7 +38,7 @@ pub fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) 
         Gate::BadQuality => f64::from(facts.bad) + f64::from(facts.filled) > BAD_SHARE * raw,
         Gate::FrozenPv => is_frozen(&record.pv, f64::from(facts.pv_repeats) / raw),
         Gate::FrozenOp => is_frozen(&record.op_path, f64::from(facts.op_repeats) / raw),
-        Gate::Swapped => record.sp.as_deref().is_some_and(|sp| is_swapped(&op, &record.pv, sp)),
+        Gate::Swapped => swapped::by_set_point(record),
         Gate::Saturated => is_saturated(&op, params.op_range),
         Gate::TooFewSamples => record.len() < MIN_SAMPLES || periods.is_some_and(|p| p < 2.0),
         Gate::Skipped => false,
@@ -63,13 +60,6 @@ fn is_frozen(x: &[f64], repeats: f64) -> bool {
     let high = x.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let width = high - low;
     !width.is_finite() || width <= 1e-9 * high.abs().max(low.abs()) || repeats >= FROZEN_SHARE
-}
-
-/// The set point is that of the signal that is called OP: its mean is there, and PV's is far away.
-fn is_swapped(op: &[f64], pv: &[f64], sp: &[f64]) -> bool {
-    let set_point = stats::mean(sp);
-    let distance = |x: &[f64]| (stats::mean(x) - set_point).abs() / stats::std_dev(x);
-    distance(op) < NEAR_SET_POINT && distance(pv) > FAR_FROM_SET_POINT
 }
 
 /// OP is for two fifths of the time at a limit of its range or, if that is unknown, exactly at an extreme that it otherwise
@@ -186,17 +176,11 @@ mod tests {
     }
 
     #[test]
-    fn op_and_pv_are_swapped_where_only_op_is_near_the_set_point() {
-        let with_set_point = |sp: f64, op: Vec<f64>, pv: Vec<f64>| {
-            let record = Record { sp: Some(vec![sp; 500]), ..Record::uniform(1.0, op, pv) };
-            gates(&record, &STILL, &AssessParams::default())
-        };
-        let (near, far) = (|| wave(500, 61.3), || wave(500, 61.3).iter().map(|x| x - 20.0).collect::<Vec<_>>());
-        assert_eq!(with_set_point(50.0, near(), far()), vec![Gate::Swapped]);
-        // An offset of PV alone, an OP that happens to have PV's level, and no set point are no sign of it.
-        assert!(with_set_point(60.0, near(), far()).is_empty());
-        assert!(with_set_point(50.0, near(), near()).is_empty());
-        assert!(of(near(), far()).is_empty());
+    fn swapped_signals_are_a_gate_where_the_set_point_shows_them() {
+        let far = wave(500, 61.3).iter().map(|x| x - 20.0).collect::<Vec<_>>();
+        let record = Record { sp: Some(vec![50.0; 500]), ..Record::uniform(1.0, wave(500, 61.3), far.clone()) };
+        assert_eq!(gates(&record, &STILL, &AssessParams::default()), vec![Gate::Swapped]);
+        assert!(of(wave(500, 61.3), far).is_empty());
     }
 
     #[test]

@@ -14,13 +14,14 @@ mod params;
 pub mod plausible;
 pub mod rule;
 mod screen;
+pub mod swapped;
 pub mod tally;
 pub mod texts;
 pub mod words;
 
 pub use crate::detect::Indicator;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
-pub use assess::{assess, assess_in_windows, figures, lets_go};
+pub use assess::{assess, assess_in_windows, figures, is_screened_out};
 pub use document::{
     Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement, Oscillation,
     Process, Search, Verdict, Window, reasons,

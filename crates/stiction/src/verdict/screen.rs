@@ -36,12 +36,12 @@ const STEM: f64 = 1.0;
 const NOISE_SPAN: f64 = 12.0;
 const STEM_IN_NOISE: f64 = 15.0;
 /// The same for a signal on a coarse grid, which hides what a stem does if it travels. Chosen on 3,334 simulated loops with grids of 0.3
-/// to 0.6 standard deviations: by the two above 2 of 334 that are let go would not have been called healthy, by these none of 210.
+/// to 0.6 standard deviations: by the two above 2 of 334 that are screened out would not have been called healthy, by these none of 210.
 const ON_GRID: [f64; 2] = [9.0, 6.0];
 
 /// Whether a record without a blocking check can be screened.
 #[must_use]
-pub fn lets_go(record: &Record, looks: &Looks, gates: &[Gate]) -> bool {
+pub fn is_screened_out(record: &Record, looks: &Looks, gates: &[Gate]) -> bool {
     let Some(most) = most_of_a_stem(record, gates) else { return false };
     !looks.together().is_some_and(|o| o.oscillating)
         && rests(record)
