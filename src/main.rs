@@ -222,7 +222,8 @@ impl Cli {
             (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stiction_monitor::alarm=off",
             // It says in its own lines when the link is lost.
             (CommandArgs::Top(_), _) => "warn,zenoh=off",
-            _ => "info,zenoh=warn,opcua=off",
+            // The daemon itself says which listener or router is missing, without paths of sources.
+            _ => "info,zenoh=warn,zenoh::net::runtime::orchestrator=error,opcua=off",
         }
     }
 }
