@@ -21,8 +21,11 @@ use stiction_monitor::codec::topic;
 const MAX_RATE: f64 = 20_000.0;
 /// Time limit for connecting.
 const CONNECT_WITHIN: Duration = Duration::from_secs(10);
-/// Time for subscriptions to propagate after connecting.
-const SETTLE: Duration = Duration::from_millis(500);
+/// Time limit for a subscriber to show.
+const SUBSCRIBER_WITHIN: Duration = Duration::from_secs(10);
+/// How long a put waits for a receiver that is busy, µs, and how long the end waits until all is sent.
+const PATIENCE_US: &str = "60000000";
+const CLOSE_WITHIN: Duration = Duration::from_secs(60);
 
 /// Publish the samples of recordings, tables and exports on Zenoh, in place of a gateway.
 #[derive(Debug, clap::Args)]
@@ -74,11 +77,11 @@ fn speed(text: &str) -> Result<Speed, String> {
     }
 }
 
-/// Opens a session connected to an endpoint.
+/// Opens a session connected to an endpoint, and waits for a subscriber of samples below the prefix.
 ///
 /// # Errors
 /// Nothing answers there in time.
-pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
+pub(super) async fn connect(endpoint: &str, prefix: &str) -> anyhow::Result<zenoh::Session> {
     let mut config = zenoh::Config::default();
     let endpoints = serde_json::to_string(&[endpoint])?;
     let timeout = CONNECT_WITHIN.as_millis().to_string();
@@ -88,6 +91,7 @@ pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
         ("connect/endpoints", endpoints.as_str()),
         ("connect/timeout_ms", timeout.as_str()),
         ("connect/exit_on_failure", "true"),
+        ("transport/link/tx/queue/congestion_control/block/wait_before_close", PATIENCE_US),
     ];
     for (key, value) in settings {
         config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh rejects the setting {key} = {value}: {e}"))?;
@@ -98,7 +102,16 @@ pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
             CONNECT_WITHIN.as_secs()
         )
     })?;
-    tokio::time::sleep(SETTLE).await;
+    let publisher = session.declare_publisher(format!("{prefix}/**")).await.map_err(|e| anyhow!("{prefix}: {e}"))?;
+    let until = Instant::now() + SUBSCRIBER_WITHIN;
+    while !publisher.matching_status().await.is_ok_and(|status| status.matching()) {
+        if Instant::now() > until {
+            tracing::warn!("nothing subscribes below {prefix} at {endpoint}: samples are lost if nothing does");
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    publisher.undeclare().await.map_err(|e| anyhow!("{prefix}: {e}"))?;
     Ok(session)
 }
 
@@ -142,14 +155,17 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     let sent = block_on(async {
         let stop = asked_to_stop()?;
-        let session = connect(&args.connect).await?;
+        let session = connect(&args.connect, &args.prefix).await?;
         let bar = ProgressBar::new(total as u64);
-        let sent = tokio::select! {
-            sent = publish(&session, args, &loaded.loops, &bar) => sent,
-            () = stop => Ok(bar.position()),
+        let (sent, patience) = tokio::select! {
+            sent = publish(&session, args, &loaded.loops, &bar) => (sent, CLOSE_WITHIN),
+            () = stop => (Ok(bar.position()), Duration::from_secs(2)),
         };
         bar.finish_and_clear();
-        let _ = tokio::time::timeout(Duration::from_secs(2), session.close()).await;
+        match tokio::time::timeout(patience, session.close()).await {
+            Ok(Ok(())) => {}
+            _ => tracing::warn!("the last samples may be lost: {} did not take them in time", args.connect),
+        }
         sent
     })?;
     match format {
