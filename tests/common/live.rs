@@ -199,7 +199,8 @@ impl Daemon {
                 return;
             }
             assert!(Instant::now() < until, "{seen} of {count} estimates");
-            std::thread::sleep(Duration::from_millis(200));
+            // Each look reads all recordings, which takes time from the daemon.
+            std::thread::sleep(Duration::from_secs(1));
         }
     }
 
