@@ -5,12 +5,16 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use crate::common;
-use crate::live::{Daemon, FAST, documents, files, ok, sticking, stictiond, wait_for};
+use crate::live::{Daemon, FAST, documents, files, free_port, ok, sticking, stictiond, wait_for};
 use serde_json::Value;
 use stiction_files::RecordingReader;
 use stiction_monitor::codec::topic::Kind;
+use zenoh::Wait;
 
 #[test]
 fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
@@ -221,4 +225,33 @@ fn the_demo_finds_the_sticking_valve_and_leaves_a_recording_that_verifies() {
     let recordings = dir.path().join("recordings/demo");
     assert!(files(&recordings).iter().all(|f| f.extension().unwrap() == "mcap"));
     ok(&["replay", recordings.to_str().unwrap(), "--verify"]);
+}
+
+#[test]
+fn play_sends_once_something_subscribes() {
+    let endpoint = format!("tcp/127.0.0.1:{}", free_port());
+    let mut config = zenoh::Config::default();
+    for (key, value) in
+        [("listen/endpoints", format!("[{endpoint:?}]")), ("scouting/multicast/enabled", "false".into())]
+    {
+        config.insert_json5(key, &value).unwrap();
+    }
+    let bus = zenoh::open(config).wait().unwrap();
+    let play = ["play", "recordings/sticking.mcap", "--prefix", "late", "--speed", "max", "--format", "json"];
+    let play = Command::new(env!("CARGO_BIN_EXE_stictiond"))
+        .args(play)
+        .args(["--connect", &endpoint])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // By then it is connected, unless the machine is slow.
+    std::thread::sleep(Duration::from_secs(3));
+    let received = Arc::new(AtomicU64::new(0));
+    let counter = received.clone();
+    let count = move |_| drop(counter.fetch_add(1, Ordering::Relaxed));
+    let _subscriber = bus.declare_subscriber("late/**").callback(count).wait().unwrap();
+    let said: Value = serde_json::from_slice(&play.wait_with_output().unwrap().stdout).unwrap();
+    let sent = said["published"].as_u64().unwrap();
+    assert!(sent > 1000 && said["published"] == said["of"], "{said}");
+    wait_for("every sample", || (received.load(Ordering::Relaxed) == sent).then_some(()));
 }
