@@ -21,6 +21,8 @@ use stiction_monitor::codec::topic;
 const MAX_RATE: f64 = 20_000.0;
 /// Time limit for connecting.
 const CONNECT_WITHIN: Duration = Duration::from_secs(10);
+/// Time for declarations to propagate after connecting.
+const SETTLE: Duration = Duration::from_millis(500);
 /// Time limit for a subscriber to show.
 const SUBSCRIBER_WITHIN: Duration = Duration::from_secs(10);
 /// How long a put waits for a receiver that is busy, µs, and how long the end waits until all is sent.
@@ -77,11 +79,11 @@ fn speed(text: &str) -> Result<Speed, String> {
     }
 }
 
-/// Opens a session connected to an endpoint, and waits for a subscriber of samples below the prefix.
+/// Opens a session connected to an endpoint.
 ///
 /// # Errors
 /// Nothing answers there in time.
-pub(super) async fn connect(endpoint: &str, prefix: &str) -> anyhow::Result<zenoh::Session> {
+pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
     let mut config = zenoh::Config::default();
     let endpoints = serde_json::to_string(&[endpoint])?;
     let timeout = CONNECT_WITHIN.as_millis().to_string();
@@ -102,17 +104,26 @@ pub(super) async fn connect(endpoint: &str, prefix: &str) -> anyhow::Result<zeno
             CONNECT_WITHIN.as_secs()
         )
     })?;
-    let publisher = session.declare_publisher(format!("{prefix}/**")).await.map_err(|e| anyhow!("{prefix}: {e}"))?;
+    tokio::time::sleep(SETTLE).await;
+    Ok(session)
+}
+
+/// Waits until something subscribes to samples below the prefix; says so where nothing does.
+///
+/// # Errors
+/// The prefix is no key.
+pub(super) async fn wait_for_subscriber(session: &zenoh::Session, prefix: &str) -> anyhow::Result<()> {
+    let key = format!("{prefix}/**");
+    let publisher = session.declare_publisher(&key).await.map_err(|e| anyhow!("{key}: {e}"))?;
     let until = Instant::now() + SUBSCRIBER_WITHIN;
     while !publisher.matching_status().await.is_ok_and(|status| status.matching()) {
         if Instant::now() > until {
-            tracing::warn!("nothing subscribes below {prefix} at {endpoint}: samples are lost if nothing does");
+            tracing::warn!("nothing subscribes to {key}: samples that nothing takes are lost");
             break;
         }
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-    publisher.undeclare().await.map_err(|e| anyhow!("{prefix}: {e}"))?;
-    Ok(session)
+    publisher.undeclare().await.map_err(|e| anyhow!("{key}: {e}"))
 }
 
 /// Samples of all loops in time order; within a loop the recorded order is kept.
@@ -155,7 +166,8 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     let sent = block_on(async {
         let stop = asked_to_stop()?;
-        let session = connect(&args.connect, &args.prefix).await?;
+        let session = connect(&args.connect).await?;
+        wait_for_subscriber(&session, &args.prefix).await?;
         let bar = ProgressBar::new(total as u64);
         let (sent, patience) = tokio::select! {
             sent = publish(&session, args, &loaded.loops, &bar) => (sent, CLOSE_WITHIN),
