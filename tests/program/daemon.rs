@@ -248,7 +248,9 @@ fn play_sends_once_something_subscribes() {
     std::thread::sleep(Duration::from_secs(3));
     let received = Arc::new(AtomicU64::new(0));
     let counter = received.clone();
-    let count = move |_| drop(counter.fetch_add(1, Ordering::Relaxed));
+    let count = move |_| {
+        counter.fetch_add(1, Ordering::Relaxed);
+    };
     let _subscriber = bus.declare_subscriber("late/**").callback(count).wait().unwrap();
     let said: Value = serde_json::from_slice(&play.wait_with_output().unwrap().stdout).unwrap();
     let sent = said["published"].as_u64().unwrap();
