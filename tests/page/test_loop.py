@@ -70,6 +70,19 @@ def part(page, title):
     return section
 
 
+def test_a_table_opened_before_its_data_fills_when_they_come(page):
+    held = []
+    page.route("**/window", held.append)
+    page.reload()
+    chart(page).get_by_text("Values as a table").click()
+    times = chart(page).locator("details tbody th")
+    expect(times).to_have_count(0)
+    page.unroute("**/window")
+    for route in held:
+        route.continue_()
+    expect(times).not_to_have_count(0)
+
+
 def test_the_trend_grows_zooms_pans_and_tells_values(plant, page):
     whole = shown(page)
     eventually("a newer sample on the axis", lambda: shown(page)[1] > whole[1], within=20)

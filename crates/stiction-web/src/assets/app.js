@@ -55,7 +55,7 @@ function drawNav(path) {
   const links = ROUTES.filter((r) => r.at !== undefined && !(isBench() && r.live));
   // Whoever stands on a link stays there.
   const held = nav.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
-  fill(nav, links.map((r) => h("a", { href: `#/${r.at}`, "aria-current": r.path.test(path) ? "page" : null, "aria-label": r.short ? r.name : null }, label(r), r.at === "alarms" ? alarmCount(waiting) : null)));
+  fill(nav, links.map((r) => h("a", { href: `#/${r.at}`, "aria-current": r.path.test(path) ? "page" : null }, label(r), r.at === "alarms" ? alarmCount(waiting) : null)));
   if (held) nav.querySelector(`a[href="${held}"]`)?.focus();
 }
 

@@ -35,10 +35,11 @@ function body({ rows, x, columns, plan }, options) {
   ];
 }
 
-/** A fold that holds what the chart shows as a table. */
+/** A fold that holds what the chart shows as a table; `fillEmpty` makes the table of one that was opened before its data came. */
 export function table(visible, options) {
   const inside = h("div", null);
   const details = h("details", { class: "as-table" }, h("summary", null, "Values as a table"), inside);
-  details.addEventListener("toggle", () => fill(inside, details.open ? body(visible(), options) : null));
-  return details;
+  const show = () => fill(inside, details.open ? body(visible(), options) : null);
+  details.addEventListener("toggle", show);
+  return { details, fillEmpty: () => details.open && !inside.querySelector("tbody tr") && show() };
 }

@@ -90,9 +90,10 @@ class LineChart {
       .map(([text, words, act]) => h("button", { class: "button quiet icon", type: "button", "aria-label": `${words}: ${label}`, title: words, onclick: act }, text));
     this.plot = h("div", { class: "chart-plot", tabindex: "0", role: "application", "aria-roledescription": "chart", "aria-label": `${label}. Arrow keys move the cursor, plus and minus zoom, Shift with arrows pans, 0 shows all.` });
     this.said = h("div", { class: "unseen", "aria-live": "polite" });
+    const values = table(() => this.visible(), this.options);
     this.root = h("div", { class: "chart", role: "group", "aria-label": label },
       h("div", { class: "chart-head" }, this.keyRow, h("div", { class: "chart-tools" }, this.at, tools)),
-      this.plot, this.said, table(() => this.visible(), this.options));
+      this.plot, this.said, values.details);
     root.append(this.root);
     const width = Math.max(200, this.plot.clientWidth || root.clientWidth || 600);
     this.u = new uPlot({
@@ -116,7 +117,7 @@ class LineChart {
       },
       hooks: {
         drawClear: [(u) => drawSpans(u, this.options.spans?.() ?? [])],
-        draw: [(u) => drawMarks(u, this.options.marks?.() ?? [])],
+        draw: [(u) => drawMarks(u, this.options.marks?.() ?? []), values.fillEmpty],
         setCursor: [(u) => this.tellCursor(u.cursor.idx)],
         setSelect: [(u) => this.selected(u)],
       },
