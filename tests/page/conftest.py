@@ -25,8 +25,9 @@ LONG = bool(os.environ.get("STICTIOND_LONG"))
 expect.set_options(timeout=30_000)
 # What a browser says where the daemon is away.
 AWAY = r"net::ERR_"
-# And where an answer is a refusal that the page shows in words: no closed loop can be simulated.
-REFUSED = r"422 .*/repair\)"
+# And where an answer is a refusal that the page shows in words: no closed loop can be simulated, or a newer window has taken
+# the place of the samples meanwhile.
+REFUSED = r"(422 .*/repair|404 .*/(repair|pictures))\)"
 # Names that somebody may give a loop to see what happens.
 HOSTILE = [
     "<img src=x onerror=alert(1)>",

@@ -72,7 +72,7 @@ def part(page, title):
 
 def test_a_table_opened_before_its_data_fills_when_they_come(page):
     held = []
-    page.route("**/window", held.append)
+    page.route("**/window", lambda route: held.append(route))
     page.reload()
     chart(page).get_by_text("Values as a table").click()
     times = chart(page).locator("details tbody th")
