@@ -133,7 +133,7 @@ def test_the_phase_plot_shifts_by_keyboard(page):
     before = eventually("the phase plot", lambda: len(drawn()) > 1000 and drawn())
     for _ in range(3):
         page.keyboard.press("ArrowRight")
-    # The shift keeps its seconds when a newer window has other points.
+    # Until the reader moves it, the slider follows the fitted dead time of the newest window.
     assert at_rest == "0" and int(slider.input_value()) >= 3
     assert drawn() != before
     expect(slider).to_have_attribute("aria-valuetext", re.compile("[1-9] s"))
