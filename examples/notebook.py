@@ -15,11 +15,10 @@ EXPORT = Path(__file__).resolve().parent.parent / "recordings" / "fic201-export.
 PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else "pictures")
 PICTURES.mkdir(parents=True, exist_ok=True)
 
-# %% An export with German numbers and dates: from the file to a picture in five lines
-import pandas as pd
+# %% An export with German numbers and dates: from the file to a picture in four lines
 import stiction
 
-frame = pd.read_csv(EXPORT, sep=";", decimal=",", index_col=0, parse_dates=True, dayfirst=True).tz_localize("Europe/Berlin")
+frame = stiction.read(EXPORT, tz="Europe/Berlin")
 found = stiction.assess(frame, op_range=(0, 100))
 found.plot().savefig(PICTURES / "assessment.png")
 
@@ -44,7 +43,7 @@ benefit.plot().figure.savefig(PICTURES / "repair.png")
 print(" ".join(benefit["sentences"]))
 
 # %% Many loops: with the conventions of scikit-learn, a table per loop
-loops = [frame, frame[frame.index < frame.index[900]]]
+loops = [frame, frame.iloc[:900]]
 detector = stiction.StictionDetector(ts_s=None, op_range=(0, 100)).fit(loops)
 print(detector.predict(loops), detector.predict_proba(loops).round(2))
 results = detector.assess(loops)

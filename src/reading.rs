@@ -103,12 +103,7 @@ impl ReadArgs {
         for (unit, loaded) in units.iter().zip(read) {
             match (loaded, &mut all) {
                 (Ok(loaded), None) => all = Some(loaded),
-                (Ok(mut loaded), Some(all)) => {
-                    let place = |w: &String| format!("{}: {w}", unit.name());
-                    all.loops.append(&mut loaded.loops);
-                    all.warnings.extend(loaded.warnings.iter().map(place));
-                    all.data_loss |= loaded.data_loss;
-                }
+                (Ok(loaded), Some(all)) => all.append(&unit.name(), loaded),
                 (Err(error), _) => {
                     super::warn(&error);
                     first.get_or_insert(error);

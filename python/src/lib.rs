@@ -6,12 +6,13 @@
 //! | `columns.rs` | bytes to samples |
 //! | `options.rs` | words and numbers to fit options |
 //! | `supervise.rs` | work on threads without Python's lock, watched for Ctrl-C and progress |
-//! | `assess.rs`, `windows.rs`, `diagnose.rs`, `repair.rs`, `simulate.rs` | the functions |
+//! | `assess.rs`, `windows.rs`, `diagnose.rs`, `read.rs`, `repair.rs`, `simulate.rs` | the functions |
 
 mod assess;
 mod columns;
 mod diagnose;
 mod options;
+mod read;
 mod repair;
 mod simulate;
 mod supervise;
@@ -42,6 +43,8 @@ mod _stiction {
     use super::assess::{assess, assess_many, assess_plant, screen};
     #[pymodule_export]
     use super::diagnose::diagnose;
+    #[pymodule_export]
+    use super::read::read;
     #[pymodule_export]
     use super::repair::repair;
     #[pymodule_export]

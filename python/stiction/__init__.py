@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike
 
 from . import _arrays, _show, _stiction, _tables
 from ._arrays import Table
+from ._files import read
 from ._over_time import (
     Case,
     Change,
@@ -107,6 +108,7 @@ __all__ = [
     "assess_windows",
     "diagnose",
     "over_time",
+    "read",
     "repair",
     "screen",
     "simulate",
@@ -237,13 +239,10 @@ def _many(
     def column(argument: str) -> Any:
         return opened[named[argument]] if named[argument] in names else None
 
-    order = None
-    if named["loop"] in names:
-        loops, order, ends = _arrays.grouped(column("loop"))
-    else:
-        loops, ends = ["loop"], [len(column("op"))]
+    one = ["loop"], None, [len(column("op"))]
+    loops, order, ends = _arrays.grouped(column("loop")) if named["loop"] in names else one
     if ts_s is None:
-        times, step = column("t"), None
+        times = column("t")
     else:
         # Each loop's own clock starts at 0.
         starts = [0, *ends[:-1]]
@@ -254,8 +253,7 @@ def _many(
         if order is not None:
             times = np.empty_like(clock)
             times[order] = clock
-        step = None
-    columns = _arrays.columns(column("op"), column("pv"), step, times, column("sp"), column("mv"), column("mode"))
+    columns = _arrays.columns(column("op"), column("pv"), None, times, column("sp"), column("mv"), column("mode"))
     if order is not None:
         columns = _arrays.reordered(columns, order)
     return {

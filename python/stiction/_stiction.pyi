@@ -25,6 +25,9 @@ def diagnose(
     asked: dict[str, Any],
     progress: Callable[[int, int], object] | None,
 ) -> tuple[str, str, list[bytes]]: ...
+def read(
+    paths: list[str], format: dict[str, str | None]
+) -> tuple[list[tuple[str, bytes, list[bytes], list[str | None]]], list[str]]: ...
 def simulate(scenario: str, json: bool) -> list[tuple[str, str, float, list[bytes]]]: ...
 def assess_windows(
     name: str,

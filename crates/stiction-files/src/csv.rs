@@ -206,14 +206,17 @@ impl Cells {
 }
 
 /// One row: a timestamp and its cells in the order of [`COLUMNS`].
-#[derive(Clone, Copy)]
-pub(super) struct Row {
+#[derive(Debug, Clone, Copy)]
+pub struct Row {
+    /// Timestamp, ns since 1970.
     pub t_ns: i64,
+    /// `None` where there is no sample.
     pub cells: [Option<Value>; COLUMNS.len()],
 }
 
 /// Samples of one loop as rows: a sample joins the latest row of its timestamp unless its cell is already filled.
-pub(super) fn rows_of(samples: &[Sample]) -> Vec<Row> {
+#[must_use]
+pub fn rows_of(samples: &[Sample]) -> Vec<Row> {
     let mut rows: Vec<Row> = Vec::with_capacity(samples.len() / 2 + 1);
     let mut latest: HashMap<i64, usize> = HashMap::with_capacity(samples.len() / 2 + 1);
     for sample in samples {

@@ -306,6 +306,13 @@ impl Loaded {
         let export::Export { loops, recognised, warnings } = export;
         Self { kind, loops, recognised, warnings, data_loss: false, metadata: BTreeMap::new() }
     }
+
+    /// Adds what was read from another input, whose name its warnings get.
+    pub fn append(&mut self, name: &str, mut more: Self) {
+        self.loops.append(&mut more.loops);
+        self.warnings.extend(more.warnings.iter().map(|warning| format!("{name}: {warning}")));
+        self.data_loss |= more.data_loss;
+    }
 }
 
 /// An error for a text named .mat that is not a table either.
