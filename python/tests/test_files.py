@@ -29,7 +29,7 @@ def test_a_loop_of_a_recording_gives_what_the_command_says(command: Command) -> 
     recording = RECORDINGS / "four-loops.mcap"
     table = stiction.read(recording)
     assert list(dict.fromkeys(table["loop"])) == ["FIC201", "LIC202", "PIC203", "TIC204"]
-    assert {"sp", "mode"} <= set(table.columns) and set(table["mode"].dropna()) <= {"auto", "manual", "cascade"}
+    assert "sp" in table.columns and "mode" not in table.columns
     found = stiction.assess(table, name="LIC202", model="fopdt", valve="tracking", delay=6)
     same(found, json.loads(command("analyze", recording, "--loop", "LIC202", *FAST)))
 
@@ -44,6 +44,8 @@ def test_several_files_come_into_one_table(tmp_path: Path) -> None:
     (tmp_path / "C.csv").write_text("hello")
     with pytest.warns(UserWarning, match=r"C\.csv"):
         assert len(stiction.read(tmp_path)) == 80
+    (tmp_path / "A.csv").write_text("t,op,pv,mode\n0,1,2,auto\n1,2,3,manual\n2,3,4,\n")
+    assert list(stiction.read(tmp_path / "A.csv")["mode"]) == ["auto", "manual", None]
 
 
 def test_faults_name_the_file_or_the_argument(tmp_path: Path) -> None:
