@@ -60,10 +60,7 @@ impl Format {
 pub fn read<'py>(py: Python<'py>, paths: Vec<PathBuf>, format: Format) -> PyResult<(Vec<Loop<'py>>, Vec<String>)> {
     let options = format.options()?;
     let loaded = supervised(py, None, move |_: &_| load(&paths, &options))?;
-    let mut loaded = loaded.map_err(StictionError::new_err)?;
-    if loaded.data_loss {
-        loaded.warnings.push("the file is cut off or damaged: what could be read is given".to_owned());
-    }
+    let loaded = loaded.map_err(StictionError::new_err)?;
     Ok((loaded.loops.iter().map(|one| columns(py, &one.name, &rows_of(&one.samples))).collect(), loaded.warnings))
 }
 
