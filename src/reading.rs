@@ -98,18 +98,9 @@ impl ReadArgs {
             return Ok(self.load(one)?);
         }
         let read = on_all_cores(&units, Unit::name, |unit| self.load(unit));
-        let mut all: Option<Loaded> = None;
-        let mut first = None;
-        for (unit, loaded) in units.iter().zip(read) {
-            match (loaded, &mut all) {
-                (Ok(loaded), None) => all = Some(loaded),
-                (Ok(loaded), Some(all)) => all.append(&unit.name(), loaded),
-                (Err(error), _) => {
-                    super::warn(&error);
-                    first.get_or_insert(error);
-                }
-            }
-        }
+        let (all, faults) = Loaded::join(units.iter().map(Unit::name).zip(read));
+        faults.iter().for_each(super::warn);
+        let first = faults.into_iter().next();
         all.ok_or_else(|| first.map_or_else(|| anyhow!("no file was given"), anyhow::Error::from))
     }
 }

@@ -66,20 +66,14 @@ pub fn read<'py>(py: Python<'py>, paths: Vec<PathBuf>, format: Format) -> PyResu
 
 fn load(paths: &[PathBuf], options: &ReadOptions) -> Result<Loaded, String> {
     let units: Vec<Unit> = units(paths, options).map_err(|error| error.to_string())?;
-    let (mut all, mut faults): (Option<Loaded>, Vec<String>) = (None, Vec::new());
-    for unit in &units {
-        match (unit.load(options), &mut all) {
-            (Ok(loaded), None) => all = Some(loaded),
-            (Ok(loaded), Some(all)) => all.append(&unit.name(), loaded),
-            (Err(error), _) => faults.push(error.to_string()),
-        }
-    }
+    let (all, faults) = Loaded::join(units.iter().map(|unit| (unit.name(), unit.load(options))));
+    let mut faults = faults.iter().map(ToString::to_string);
     match all {
         Some(mut all) => {
-            all.warnings.append(&mut faults);
+            all.warnings.extend(faults);
             Ok(all)
         }
-        None => Err(faults.into_iter().next().unwrap_or_else(|| "no file was given".to_owned())),
+        None => Err(faults.next().unwrap_or_else(|| "no file was given".to_owned())),
     }
 }
 

@@ -124,6 +124,13 @@ fn work_on_a_valve_helped_only_where_both_sides_show_it() {
     let helped = |before: &[Measured], after: &[Measured], found| compare(before, after, found).helped;
     assert_eq!(helped(&before, &windows(4, Some(2.0), 1.0), true), Helped::Partly);
     assert_eq!(helped(&before, &windows(4, Some(3.9), 2.0), true), Helped::No);
+    let mixed = compare(&before, &[windows(2, Some(3.9), 2.0), windows(4, None, 0.5)].concat(), true);
+    assert_eq!(mixed.helped, Helped::Partly);
+    assert!(
+        mixed.words.starts_with("2 of 6 windows since the review find stiction, before it 5 of 5"),
+        "{}",
+        mixed.words
+    );
     assert_eq!(helped(&before, &windows(2, None, 0.5), true), Helped::Unknown);
     assert_eq!(helped(&[], &windows(4, None, 0.5), true), Helped::Unknown);
     assert_eq!(helped(&windows(5, None, 1.0), &windows(4, None, 0.5), true), Helped::Unknown);

@@ -26,7 +26,7 @@ REVIEWED = {
     "outcome": {
         "before": {"windows": 4, "sticking": 4, "p": 0.9, "s": 4.0, "pv_sd": 2.0},
         "after": {"windows": 4, "sticking": 0, "p": 0.1, "s": None, "pv_sd": 0.5},
-        "helped": "yes", "words": "It helped: stiction is not seen since.",
+        "helped": "yes", "words": "Stiction was seen before the review and is not seen since.",
     },
 }
 
@@ -45,7 +45,7 @@ def test_the_list_groups_by_area_and_shows_what_work_brought(plant, open_page, a
     entries = page.locator(".work")
     expect(entries.nth(0).locator("a")).to_have_text(NAME)
     expect(entries.nth(1)).to_contain_text("Do a bump test.")
-    expect(page.locator("tr[data-loop=FIC9]")).to_contain_text("It helped")
+    expect(page.locator("tr[data-loop=FIC9]")).to_contain_text("not seen since")
     expect(page.locator("tr[data-loop=FIC9]")).to_contain_text("0.90 → 0.10")
     page.get_by_role("button", name="By area").click()
     expect(page.locator(".work-group h2")).to_have_text(["North", "South"])

@@ -45,7 +45,7 @@ pub(super) struct DataHealthParts {
     pub clock: Clock,
 }
 
-/// The work without its thread: whoever holds it decides when it is done.
+/// The worker without its thread: a test calls [`Self::turn`] itself.
 pub(super) struct DataHealthWorker {
     parts: DataHealthParts,
     started: Instant,
@@ -77,7 +77,7 @@ fn number(at_ns: i64, offset_s: f64, every_s: f64) -> i64 {
 }
 
 impl DataHealthWorker {
-    /// Ready to work, with what earlier runs kept.
+    /// A worker that continues from what earlier runs kept.
     pub fn new(parts: DataHealthParts, kept: KeptHealth) -> Self {
         parts.overview.take_over(kept.clone());
         Self { started: parts.clock.now(), sent: kept.sent, kept, parts }
@@ -93,10 +93,10 @@ impl DataHealthWorker {
         let config = self.parts.config.get();
         let (now, now_ns) = (self.parts.clock.now(), self.parts.clock.now_ns());
         let every_s = point_every_s(&config.summary);
-        let looked = self.parts.overview.look(now);
-        // Before that the loops wait for a window.
+        let survey = self.parts.overview.survey(now);
+        // Until then most loops have no window.
         if self.parts.clock.since(self.started).as_secs_f64() >= every_s {
-            let found = &looked.found;
+            let found = &survey.found;
             let newest_ms = found.trend.last().map(|point| point.t_ms);
             let is_next = |ms: f64| number(ns_from_ms(ms), 0.0, every_s) != number(now_ns, 0.0, every_s);
             self.send(&config, found, now_ns);
@@ -104,7 +104,7 @@ impl DataHealthWorker {
                 self.parts.overview.add_share(found, now_ns);
             }
         }
-        let kept = self.parts.overview.kept(&looked, self.sent);
+        let kept = self.parts.overview.kept(&survey, self.sent);
         if kept != self.kept {
             if let (Some(notes), Some(json)) = (&self.parts.notes, to_json(&kept)) {
                 notes.data_health(&config.site.prefix, json);

@@ -307,11 +307,22 @@ impl Loaded {
         Self { kind, loops, recognised, warnings, data_loss: false, metadata: BTreeMap::new() }
     }
 
-    /// Adds what was read from another input, whose name its warnings get.
-    pub fn append(&mut self, name: &str, mut more: Self) {
-        self.loops.append(&mut more.loops);
-        self.warnings.extend(more.warnings.iter().map(|warning| format!("{name}: {warning}")));
-        self.data_loss |= more.data_loss;
+    /// Joins inputs, given by name, into one, and lists those that could not be read. Warnings of the second and later inputs
+    /// begin with the input's name.
+    pub fn join(inputs: impl IntoIterator<Item = (String, Result<Self, FileError>)>) -> (Option<Self>, Vec<FileError>) {
+        let (mut all, mut faults): (Option<Self>, Vec<FileError>) = (None, Vec::new());
+        for (name, loaded) in inputs {
+            match (loaded, &mut all) {
+                (Ok(loaded), None) => all = Some(loaded),
+                (Ok(mut more), Some(all)) => {
+                    all.loops.append(&mut more.loops);
+                    all.warnings.extend(more.warnings.iter().map(|warning| format!("{name}: {warning}")));
+                    all.data_loss |= more.data_loss;
+                }
+                (Err(fault), _) => faults.push(fault),
+            }
+        }
+        (all, faults)
     }
 }
 

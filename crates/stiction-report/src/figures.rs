@@ -341,11 +341,11 @@ fn draws(of: &Subject<'_>, detail: &Detail) -> Figures {
             mark: value.map(|v| ("answer", v)),
         })?;
         let caption = format!(
-            "Blue, resamples: {name} refitted with noise and disturbance drawn anew, {}. The narrower, the surer. Orange, \
+            "Blue, resamples: {name} refitted with noise and disturbance drawn anew, {}. The narrower they are, the more certain is {name}. Orange, \
              restarts: {name} where searches with other seeds end, {}. Bars far apart mean several possible answers. The \
              90 % interval accounts for more and may be wider.",
-            reach(&drawn),
-            reach(&again),
+            extremes(&drawn),
+            extremes(&again),
         );
         out.push(Figure { picture, caption, wide: false });
     }
@@ -353,7 +353,7 @@ fn draws(of: &Subject<'_>, detail: &Detail) -> Figures {
 }
 
 /// The least and the greatest of some values in words.
-fn reach(values: &[f64]) -> String {
+fn extremes(values: &[f64]) -> String {
     match (values.iter().copied().reduce(f64::min), values.iter().copied().reduce(f64::max)) {
         (Some(least), Some(most)) => format!("{} to {}", number(least), number(most)),
         _ => "none".to_owned(),

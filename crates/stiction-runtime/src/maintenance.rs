@@ -15,7 +15,7 @@ use stiction_monitor::alarm::Priority;
 use super::overview::Candidate;
 pub use outcome::{Helped, Measured, Outcome, Side, compare};
 
-/// Loops at the head of the list whose repair is simulated.
+/// Loops at the top of the list whose repair is simulated.
 pub const SIMULATED: usize = 30;
 /// Share that counts where the benefit of a repair is not known.
 const ASSUMED_SHARE: f64 = 0.5;
@@ -59,7 +59,7 @@ pub struct Work {
     pub s: Option<f64>,
     /// Unit of `s`.
     pub op_unit: Option<String>,
-    /// How s goes: `rising`, `falling`, `steady`.
+    /// Trend of s: `rising`, `falling`, `steady`.
     pub s_trend: Option<&'static str>,
     /// What a repair removes; null where that is not known, as `why` says.
     pub removed: Option<Removed>,
@@ -138,8 +138,8 @@ impl<'a> Known<'a> {
             None => format!("No criticality is configured, so {} of 5 counts", Priority::CRITICALITY),
         };
         let trend = match self.candidate.s_trend {
-            Some("rising") => "; the valve gets worse",
-            Some("falling") => "; the valve sticks less than before",
+            Some("rising") => "; s is rising",
+            Some("falling") => "; s is falling",
             _ => "",
         };
         format!("{criticality}{trend}; {}.", self.gain(benefit, pending))
@@ -219,7 +219,7 @@ impl<'a> Known<'a> {
     }
 }
 
-/// Candidates by the cost of leaving them, dearest first, equal ones by name. `benefits` has what is known, by loop.
+/// Candidates by the cost of leaving them, highest first, equal ones by name. `benefits` has what is known, by loop.
 #[must_use]
 pub fn rank(candidates: &[Candidate], benefits: &BTreeMap<String, Benefit>) -> Vec<Work> {
     let known = candidates.iter().map(Known::of);

@@ -23,7 +23,7 @@ use stiction_monitor::engine::LoopFigures;
 
 pub use candidates::Candidate;
 pub use groups::{Membership, ShownGroup, ShownGroups};
-pub use obstacles::{Looked, Obstacle, ObstacleKind, Obstacles};
+pub use obstacles::{Obstacle, ObstacleKind, Obstacles, Survey};
 pub use share::{KeptHealth, SharePoint};
 
 /// Windows of a loop whose figures stay at hand.
@@ -193,7 +193,7 @@ struct Loops {
     groups: groups::Groups,
     /// The loops that the configuration names; none before it is known.
     expected: Option<expected::Expected>,
-    /// How the share of loops that can be judged went, oldest first.
+    /// The share of loops that can be judged over time, oldest first.
     shares: VecDeque<SharePoint>,
     /// Obstacles of an earlier run, of loops that had no window since.
     earlier: BTreeMap<String, obstacles::Since>,

@@ -1,7 +1,7 @@
 //! Files looked at by hand: opened or uploaded, cut into sections, estimated and diagnosed as the commands do it.
 //!
 //! [`shelf`] keeps files, [`upload`] takes them, [`record`] draws from them; [`request`] says what may be asked,
-//! [`preview`] shows what it would be asked of, [`jobs`] queues it, [`work`] does it, [`documents`] tells it; [`choices`] lists everything that can be chosen;
+//! [`preview`] shows the data that it would use, [`jobs`] queues it, [`work`] does it, [`documents`] tells it; [`choices`] lists everything that can be chosen;
 //! [`serve`] serves the page.
 //!
 //! The daemon has no part in this: `stictiond workbench` is a process of its own, so that whatever a file does to the

@@ -31,7 +31,7 @@ struct SectionPreview {
     after: Option<Curves>,
     /// OP's span after that, the upper limit of `fs + fd`, OP units.
     s0: Option<f64>,
-    /// What a person should know of the section.
+    /// Notes on the section.
     notes: Vec<String>,
     /// Why it cannot be analysed.
     error: Option<String>,

@@ -1,4 +1,4 @@
-//! Whether work on a valve helped: its windows before and after the date.
+//! Whether work on a valve helped: its windows before and after a review.
 
 use serde::Serialize;
 
@@ -42,9 +42,9 @@ pub struct Side {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Helped {
-    /// Sticking is not seen any more.
+    /// No window finds stiction any more.
     Yes,
-    /// The valve sticks less than before.
+    /// Fewer windows find it, or s is smaller.
     Partly,
     /// It sticks as before.
     No,
@@ -106,39 +106,36 @@ fn judge(before: &Side, after: &Side, found_sticking: bool) -> (Helped, String) 
     }
     for (side, name) in [(before, "before"), (after, "after")] {
         if side.windows < LEAST {
-            let why = format!("Too few windows {name} the date gave an answer ({} of {LEAST})", side.windows);
+            let why = format!("Too few windows {name} the review gave an answer ({} of {LEAST})", side.windows);
             return (Helped::Unknown, why);
         }
     }
     if !before.sticks() {
+        let why = "Most windows before the review find no stiction, so they cannot show a repair";
+        return (Helped::Unknown, why.to_owned());
+    }
+    if after.sticking == 0 {
+        let p = |side: &Side| side.p.map_or_else(|| "unknown".to_owned(), probability);
+        let (then, now) = (p(before), p(after));
         return (
-            Helped::Unknown,
-            "Stiction was not seen before the date, so the windows cannot show a repair".to_owned(),
+            Helped::Yes,
+            format!("Stiction was seen before the review (p {then}) and is not seen since (p {now})"),
         );
     }
-    let p = |side: &Side| side.p.map_or_else(|| "unknown".to_owned(), probability);
     if !after.sticks() {
-        let claim =
-            format!("It helped: stiction was seen before (p {}) and is not seen since (p {})", p(before), p(after));
-        return (Helped::Yes, claim);
+        let share = |side: &Side| format!("{} of {}", side.sticking, side.windows);
+        let (then, now) = (share(before), share(after));
+        return (Helped::Partly, format!("{now} windows since the review find stiction, before it {then}"));
     }
     match before.s.zip(after.s) {
         Some((from, to)) if to < SMALLER * from => {
-            let claim = format!(
-                "It helped in part: s fell from {} to {} OP units, but the valve still sticks",
-                number(from),
-                number(to)
-            );
-            (Helped::Partly, claim)
+            let (from, to) = (number(from), number(to));
+            (Helped::Partly, format!("The valve still sticks; s fell from {from} to {to} OP units since the review"))
         }
         Some((from, to)) => {
-            let claim = format!(
-                "It did not help: the valve still sticks, with s {} before and {} after",
-                number(from),
-                number(to)
-            );
-            (Helped::No, claim)
+            let (from, to) = (number(from), number(to));
+            (Helped::No, format!("The valve still sticks, with s {from} OP units before the review and {to} since"))
         }
-        None => (Helped::No, "It did not help: the valve still sticks".to_owned()),
+        None => (Helped::No, "The valve still sticks".to_owned()),
     }
 }

@@ -1,4 +1,4 @@
-//! Loops that may need work: what is held of those whose alarm is active or whose newest window finds stiction.
+//! Loops that may need work: those whose alarm is active or whose newest window finds stiction.
 
 use std::sync::{Arc, PoisonError};
 
@@ -12,7 +12,7 @@ use super::{Entry, Overview, trend};
 pub struct Candidate {
     /// The loop's name.
     pub name: String,
-    /// Where it belongs, as configured.
+    /// Area, equipment and criticality, as configured.
     pub place: LoopContext,
     /// Its newest estimate.
     pub estimate: Option<Arc<EstimateDocument>>,
@@ -22,7 +22,7 @@ pub struct Candidate {
     pub driven: Option<String>,
     /// Whether no newer sample comes.
     pub silent: bool,
-    /// How s goes over its newest windows: `rising`, `falling`, `steady`; none where too few windows found any.
+    /// Trend of s over its newest windows: `rising`, `falling`, `steady`; none where too few windows found any.
     pub s_trend: Option<&'static str>,
 }
 

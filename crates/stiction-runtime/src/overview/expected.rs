@@ -1,5 +1,4 @@
-//! Loops that the configuration names: what must come of them, since when it is awaited, and how many samples a period they
-//! need.
+//! Loops that the configuration names: their keys, when waiting for them began, and how many samples a period they need.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
@@ -69,7 +68,7 @@ impl Expected {
         })
     }
 
-    /// A loop has left the memory.
+    /// Notes the newest sample of a loop that the daemon forgets.
     pub fn forget(&mut self, name: &str, newest_ns: Option<i64>) {
         if let (Some(awaited), Some(newest_ns)) = (self.by_name.get_mut(name), newest_ns) {
             (awaited.since_ns, awaited.has_left) = (newest_ns, true);
@@ -78,7 +77,7 @@ impl Expected {
 }
 
 impl Overview {
-    /// Takes over which loops a configuration names. Those that it did not name before are awaited from now.
+    /// Sets which loops the configuration names; waiting begins at `now` for those that are new.
     pub fn expect(&self, config: Arc<Config>, now: Instant, now_ns: i64) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let before = loops.expected.take();

@@ -94,7 +94,7 @@ pub struct Obstacles {
 
 /// The obstacles of all loops, as they were at one moment.
 #[derive(Debug)]
-pub struct Looked {
+pub struct Survey {
     /// The obstacles.
     pub found: Obstacles,
     /// When each of them began.
@@ -243,12 +243,12 @@ impl Overview {
     /// What keeps loops from being judged.
     #[must_use]
     pub fn obstacles(&self, now: Instant) -> Obstacles {
-        self.look(now).found
+        self.survey(now).found
     }
 
     /// The same, with what a restart needs of it.
     #[must_use]
-    pub fn look(&self, now: Instant) -> Looked {
+    pub fn survey(&self, now: Instant) -> Survey {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
         let appeared = loops.by_name.iter().filter_map(|(name, entry)| entry.obstacle(name, &loops));
         let mut found: Vec<Found> = appeared.collect();
@@ -269,6 +269,6 @@ impl Overview {
         let obstacles: Vec<Obstacle> = found.into_iter().map(|(obstacle, _)| obstacle).collect();
         let judged = count - obstacles.iter().filter(|obstacle| obstacle.blocks).count();
         let share = (count > 0).then(|| judged as f64 / count as f64);
-        Looked { found: Obstacles { loops: count, judged, share, obstacles, trend }, since }
+        Survey { found: Obstacles { loops: count, judged, share, obstacles, trend }, since }
     }
 }

@@ -1,4 +1,4 @@
-//! How the share of loops that can be judged goes over time, and what of it outlives a restart.
+//! The share of loops that can be judged over time, and what of it is kept over a restart.
 
 use std::collections::BTreeMap;
 use std::sync::PoisonError;
@@ -6,12 +6,12 @@ use std::sync::PoisonError;
 use serde::{Deserialize, Serialize};
 
 use super::obstacles::Since;
-use super::{Looked, Obstacles, Overview};
+use super::{Obstacles, Overview, Survey};
 use stiction::units::ms_from_ns;
 
 /// Points that are kept: a month of hours.
 const POINTS: usize = 24 * 31;
-/// Obstacles whose beginning outlives a restart.
+/// Obstacles whose beginning is kept over a restart.
 const KEPT: usize = 10_000;
 
 /// The share at one time.
@@ -27,7 +27,7 @@ pub struct SharePoint {
     pub share: f64,
 }
 
-/// What outlives a restart.
+/// What is kept over a restart.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct KeptHealth {
     /// The share, oldest first.
@@ -39,16 +39,16 @@ pub struct KeptHealth {
 }
 
 impl Overview {
-    /// Takes over what an earlier run kept.
+    /// Continues from what an earlier run kept.
     pub fn take_over(&self, kept: KeptHealth) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         loops.shares = kept.shares.into();
         loops.earlier = kept.since;
     }
 
-    /// What outlives a restart.
+    /// What is kept over a restart.
     #[must_use]
-    pub fn kept(&self, looked: &Looked, sent: Option<i64>) -> KeptHealth {
+    pub fn kept(&self, survey: &Survey, sent: Option<i64>) -> KeptHealth {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
         // A loop that has had no window yet may go on with the obstacle of an earlier run.
         let is_known = |name: &str| {
@@ -57,7 +57,7 @@ impl Overview {
         let earlier =
             loops.earlier.iter().filter(|(name, _)| is_known(name)).map(|(name, since)| (name.clone(), *since));
         let mut since: BTreeMap<String, Since> = earlier.collect();
-        since.extend(looked.since.iter().cloned());
+        since.extend(survey.since.iter().cloned());
         let since = since.into_iter().take(KEPT).collect();
         KeptHealth { shares: loops.shares.iter().copied().collect(), since, sent }
     }

@@ -250,7 +250,7 @@ fn the_beginning_of_an_obstacle_and_the_trend_outlive_a_restart() {
     let first = Overview::default();
     window(&first, 1_000_000, "manual");
     first.add_share(&first.obstacles(now), 2_000_000);
-    let kept = first.kept(&first.look(now), Some(3));
+    let kept = first.kept(&first.survey(now), Some(3));
     let json = serde_json::to_vec(&kept).unwrap();
     let again = || {
         let overview = Overview::default();
@@ -259,7 +259,7 @@ fn the_beginning_of_an_obstacle_and_the_trend_outlive_a_restart() {
         overview
     };
     let second = again();
-    assert_eq!(second.kept(&second.look(now), Some(3)), kept, "a run without a window forgets nothing");
+    assert_eq!(second.kept(&second.survey(now), Some(3)), kept, "a run without a window forgets nothing");
     assert_eq!(second.obstacles(now).trend[0], SharePoint { t_ms: 2.0, judged: 0, loops: 1, share: 0.0 });
     assert_eq!(window(&second, 9_000_000, "manual"), Some(1.0));
     assert_eq!(window(&again(), 9_000_000, "saturated"), Some(9.0), "another obstacle begins with its window");

@@ -24,7 +24,7 @@ const CSV: &str = "csv";
 /// The maintenance list.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Maintenance {
-    /// Loops that may need work, the dearest to leave first.
+    /// Loops that may need work, the costliest to leave first.
     work: Vec<Work>,
     /// Loops with a review, the newest first: their windows before and after it.
     reviewed: Vec<Reviewed>,
@@ -54,7 +54,7 @@ struct Reviewed {
     method: Method,
     /// In that person's words.
     note: Option<String>,
-    /// Whether the work helped; null while that is being computed.
+    /// What changed since the review; null while that is being computed.
     outcome: Option<Outcome>,
     /// Whether all recordings of the time were read.
     complete: bool,

@@ -89,7 +89,7 @@ export function problem(words, again) {
   return h("p", { class: "problem" }, words, " ", button);
 }
 
-/** Calls `near` once when a node comes near the screen; returns a function that stops watching. */
+/** Calls `near` once: when a node comes near the screen, or by `now`. `end` stops watching. */
 export function whenNear(node, near) {
   let waits = true;
   const watch = new IntersectionObserver((entries) => entries.some((e) => e.isIntersecting) && now(), { rootMargin: "300px" });

@@ -49,7 +49,7 @@ function reviewedTable(reviewed) {
   const number = { class: "number" };
   return [h("h2", null, "Before and after a review"),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Before and after a review, table" }, h("table", { class: "table reviewed" },
-      h("thead", null, h("tr", null, column("loop"), column("review"), column("probability", number), column("s, OP units", number), column("standard deviation of PV", number), column("did it help?"))),
+      h("thead", null, h("tr", null, column("loop"), column("review"), column("probability", number), column("s, OP units", number), column("standard deviation of PV", number), column("since then"))),
       h("tbody", null, reviewed.map(reviewedRow))))];
 }
 

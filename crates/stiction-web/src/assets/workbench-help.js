@@ -11,7 +11,7 @@ export const FIELDS = {
   valve: ["Valve law", "How the stem moves once OP has left the band: in single slips (He), or sliding after OP (tracking)."],
   op_low: ["OP's range", "OP at valve closed and open, in OP's units. With it, sizes are also given in % of travel. It does not change the fit."],
   solver: ["Additional solver", "Runs a general solver on the mean squared error over (fs, fd) beside the estimate's own search, as the toolbox does. Use the estimate's bands; the solver is for comparison."],
-  evaluations: ["Most models evaluated", "Where the additional solver stops, if it has not finished before."],
+  evaluations: ["Most models evaluated", "The additional solver stops after this many models."],
   fineness: ["Fineness", "Step of the contour solver's grid, in % of OP's span."],
   seed: ["Seed", "Start of all random draws. The same seed gives the same numbers."],
   base: ["Base", "Model that the gap is measured from: fitted here, without friction, or the estimate of a run."],

@@ -180,7 +180,7 @@ export class Runs {
     return fill(this.table, h("div", { class: "row spread" }, h("h2", null, "Runs compared"),
       h("button", { class: "button quiet", type: "button", onclick: () => this.save() }, "Save table (CSV)")),
       h("div", { class: "scroll wb-compare-scroll", tabindex: "0", role: "region", "aria-label": "Table of runs" }, h("table", { class: "table wb-compare" }, h("caption", { class: "unseen" }, "Runs made so far, newest first"),
-        h("thead", null, h("tr", null, heads.map((t, k) => h("th", { scope: "col", class: `${k > 2 ? "number" : ""}${k > 5 && k < 9 ? " wb-minor" : ""}` || null }, t || h("span", { class: "unseen" }, "Acts"))))), h("tbody", null, body))));
+        h("thead", null, h("tr", null, heads.map((t, k) => h("th", { scope: "col", class: `${k > 2 ? "number" : ""}${k > 5 && k < 9 ? " wb-minor" : ""}` || null }, t || h("span", { class: "unseen" }, "Actions"))))), h("tbody", null, body))));
   }
 
   save() {
