@@ -35,6 +35,7 @@ def test_a_loop_is_reached_its_alarm_acknowledged_and_the_way_back_found(plant, 
     expect(page.get_by_label("Find")).to_be_focused()
     page.keyboard.type(LOOP)
     expect(page.get_by_text(re.compile("^1 of "))).to_be_visible()
+    expect(page.locator("a.tile")).to_have_count(1)
     page.keyboard.press("ArrowDown")
     assert page.evaluate(NAME).startswith(LOOP) and page.evaluate(SEEN)
     page.keyboard.press("Enter")
