@@ -80,7 +80,8 @@ mkdir -p "$stage"/usr/share/{bash-completion/completions,zsh/vendor-completions,
 for page in README.md SECURITY.md docs/*.md docs/history/*.md docs/results/*.txt; do
     put 644 "$page" "$doc/$page"
 done
-for example in monitor.toml hardened.toml hardened-daemon.json5 hardened-router.json5 alerts.yml alerts.test.yml grafana.json; do
+for example in monitor.toml hardened.toml hardened-daemon.json5 hardened-router.json5 alerts.yml recording.yml alerts.test.yml \
+    grafana.json; do
     put 644 "config/$example" "$doc/examples/$example"
 done
 {

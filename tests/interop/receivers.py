@@ -26,6 +26,7 @@ MOSQUITTO = [
     "libnsl2", "libtirpc3", "libuv1",
 ]
 PROMETHEUS = ["prometheus"]
+RULES = ["alerts.yml", "recording.yml"]
 PREFIX = "plant1/area1"
 START_NS = 1_546_300_800 * 10**9
 
@@ -163,10 +164,10 @@ def check_monitoring(daemon, folder, alarm):
     assert metrics_of(daemon)[1].startswith("application/openmetrics-text")
     known = set(re.findall(r"^# TYPE (\S+) ", text, re.M))
     queries = board_queries()
-    rules = (ROOT / "config" / "alerts.yml").read_text()
+    rules = "".join((ROOT / "config" / name).read_text() for name in RULES)
     # Families without a sample are not told of.
     unseen = {"stictiond_delivery_refused_total"}
-    for name in set(re.findall(r"\b(?:stictiond|process)_[a-z_]+", " ".join(queries) + rules)):
+    for name in set(re.findall(r"(?<![\w:])(?:stictiond|process)_[a-z_]+", " ".join(queries) + rules)):
         bare = re.sub(r"_bucket$", "", name)
         assert bare in known | unseen, f"{name} is in a query, and nowhere in /metrics"
     promtool, prometheus = tool("promtool", PROMETHEUS), tool("prometheus", PROMETHEUS)
@@ -174,12 +175,14 @@ def check_monitoring(daemon, folder, alarm):
         return
     done = subprocess.run([promtool, "check", "metrics"], input=text, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", ""), (done.stdout, done.stderr)
-    for arguments in (["check", "rules", "config/alerts.yml"], ["test", "rules", "config/alerts.test.yml"]):
+    checks = [["check", "rules", f"config/{name}"] for name in RULES]
+    for arguments in (*checks, ["test", "rules", "config/alerts.test.yml"]):
         done = subprocess.run([promtool, *arguments], capture_output=True, text=True, cwd=ROOT)
         assert done.returncode == 0, done.stdout + done.stderr
     port, config = free_port(), Path(folder) / "prometheus.yml"
+    files = json.dumps([f"{ROOT}/config/{name}" for name in RULES])
     config.write_text(
-        f"global: {{scrape_interval: 1s, evaluation_interval: 1s}}\nrule_files: ['{ROOT}/config/alerts.yml']\n"
+        f"global: {{scrape_interval: 1s, evaluation_interval: 1s}}\nrule_files: {files}\n"
         f"scrape_configs: [{{job_name: stictiond, static_configs: [{{targets: ['{daemon.web}']}}]}}]\n"
     )
     server = subprocess.Popen(

@@ -18,6 +18,7 @@ from pathlib import Path
 import zenoh
 from mcap.reader import make_reader
 
+from board import test_the_board_fits_grafanas_schema  # noqa: F401
 from bridge import test_the_mqtt_bridge_loses_nothing  # noqa: F401
 from compact_store import (  # noqa: F401, found by name below
     test_a_solver_in_python,
