@@ -14,7 +14,7 @@ use stiction::signal::stats;
 use stiction::sim::slips::{FirstSlip, Law, Stroke};
 use stiction::sim::steps::{Path, Steps};
 use stiction::verdict::{AssessParams, assess, is_screened_out};
-use stiction_lab::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
+use stiction_truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
 fn main() {
     divan::main();

@@ -7,10 +7,11 @@ use anyhow::{Context, anyhow, bail};
 use clap::Subcommand;
 use serde_json::json;
 
-use super::convert::{refuse_existing, resample, write_store};
+use super::convert::{resample, write_store};
 use super::reading::ReadArgs;
 use super::{Format, Outcome, UsageError, print, say};
 use stiction::units::{format_rfc3339, loop_name_from};
+use stiction_command::manual::refuse_existing;
 use stiction_files::compact::{CompactLoop, check_sampling_time, default_tags, read, rows_of};
 use stiction_files::even::even;
 use stiction_files::export::moment;

@@ -1,9 +1,9 @@
 //! `stictiond completions SHELL`: completions for a shell, on stdout.
 
 use clap::CommandFactory;
-use clap_complete::Shell;
 
 use super::{Cli, Outcome, print};
+use stiction_command::manual::{Shell, completions};
 
 /// Print completions for a shell.
 #[derive(Debug, clap::Args)]
@@ -21,8 +21,6 @@ pub struct Args {
 /// # Errors
 /// Stdout is closed.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let mut out = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "stictiond", &mut out);
-    print(&String::from_utf8_lossy(&out))?;
+    print(&completions(Cli::command(), args.shell))?;
     Ok(Outcome::Done)
 }

@@ -14,6 +14,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use stiction::record::Signal;
 use stiction::units::file_stem_of;
+use stiction_command::manual::refuse_existing;
 use stiction_files::compact::{self, CompactLoop};
 use stiction_files::even::even;
 #[cfg(feature = "parquet")]
@@ -141,13 +142,6 @@ fn target_of(output: &Path) -> anyhow::Result<Target> {
                 .into())
         }
     }
-}
-
-pub(super) fn refuse_existing(path: &Path, force: bool) -> anyhow::Result<()> {
-    if path.exists() && !force {
-        bail!("{}: already exists; use --force to replace it", path.display());
-    }
-    Ok(())
 }
 
 fn same_file(a: &Path, b: &Path) -> bool {

@@ -12,11 +12,11 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 
-use super::convert::refuse_existing;
 use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, note, play, print, say};
 use stiction::record::Signal;
 use stiction::units::{is_loop_name, loop_name_from};
+use stiction_command::manual::refuse_existing;
 use stiction_files::export::names::role;
 use stiction_monitor::codec::{self, Bundle, Memory};
 use stiction_monitor::config::NAME_MARK;

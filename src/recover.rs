@@ -54,7 +54,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             Ok(Outcome::DataLoss) => worst = Outcome::DataLoss,
             Ok(_) => {}
             Err(error) => {
-                super::warn(format_args!("{}", super::causes_without_repeats(&error)));
+                super::warn(format_args!("{}", stiction_command::causes_without_repeats(&error)));
                 worst = Outcome::DataLoss;
             }
         }

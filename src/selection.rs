@@ -1,17 +1,14 @@
 //! Which part of a file to use and at what density: options shared by every command that fits models.
 
-use std::sync::Arc;
-
 use anyhow::bail;
 use clap::ValueEnum;
 
 use super::UsageError;
-use stiction::record::Record;
 use stiction::units::parse_time;
+use stiction_command::values::pair;
 use stiction_files::LoadedLoop;
 use stiction_monitor::analysis::{AnalysisError, Cut, Detrend, Points, Section};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::LoopSettings;
 
 /// Loop, section and density.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -58,18 +55,6 @@ impl From<DetrendArg> for Detrend {
             DetrendArg::Linear => Self::Linear,
         }
     }
-}
-
-fn pair(text: &str) -> Result<(&str, &str), String> {
-    text.split_once(',').ok_or_else(|| format!("{text:?} : write two values with a comma between them, such as 50,500"))
-}
-
-/// Two numbers, lower first.
-pub(super) fn rising(text: &str) -> Result<[f64; 2], String> {
-    let (low, high) = pair(text)?;
-    let number = |s: &str| s.trim().parse::<f64>().map_err(|_| format!("{s:?} is not a number"));
-    let range = [number(low)?, number(high)?];
-    if range[1] > range[0] { Ok(range) } else { Err("the upper end must be above the lower".to_owned()) }
 }
 
 fn samples_range(text: &str) -> Result<(usize, usize), String> {
@@ -151,25 +136,6 @@ pub(super) fn told(error: AnalysisError) -> anyhow::Error {
     }
 }
 
-/// A whole recording as it is judged.
-pub(super) struct Whole {
-    /// Longest section without a data gap.
-    pub record: Record,
-    /// Windows of a long recording; each is judged.
-    pub windows: Vec<Record>,
-    /// Settings of the loop.
-    pub settings: Arc<LoopSettings>,
-}
-
-/// The longest section of a recording without a data gap, for commands that judge whole files.
-pub(super) fn whole_record(loaded: &LoadedLoop, config: &Config) -> anyhow::Result<Whole> {
-    let points = points(loaded, config);
-    let (record, notes) = points.record(Section::Whole, points.settings.window.max_points)?;
-    warn(&loaded.name, &notes);
-    let windows = points.windows(Section::Whole)?;
-    Ok(Whole { record, windows, settings: points.settings })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -184,7 +150,6 @@ mod tests {
         assert_eq!(time_range("1,2.5"), Ok((ns_from_s(1.0), ns_from_s(2.5))));
         assert_eq!(time_range("7ns,9ns"), Ok((7, 9)));
         assert!(time_range("2,1").is_err());
-        assert!(rising("0,100").is_ok() && rising("5,5").is_err());
         assert!(ratio("2.5").is_ok() && ratio("1").is_err() && ratio("inf").is_err() && ratio("two").is_err());
     }
 }

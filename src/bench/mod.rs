@@ -1,9 +1,7 @@
 //! `stictiond bench`: throughput and memory on this machine.
 
-mod cpu;
 mod fleet;
 mod growth;
-mod plants;
 mod publisher;
 mod replay;
 mod solving;
@@ -22,6 +20,7 @@ use super::{Format, Outcome, block_on, demo, play, say};
 use stiction::record::{Sample, Signal, Value};
 use stiction::sim::scenario::Scenario;
 use stiction::units::NS_PER_S;
+use stiction_command::cpu;
 use stiction_daemon::RunOptions;
 use stiction_monitor::codec;
 use stiction_monitor::codec::topic;
@@ -79,9 +78,6 @@ pub struct Args {
     /// Measure how costs grow with loops, samples and periods.
     #[arg(long)]
     pub growth: bool,
-    /// Measure how long the comparison of 1,000, 10,000 and 100,000 loops takes, of which one in five oscillates.
-    #[arg(long)]
-    pub plants: bool,
     /// Measure only the solver: kernels, indicators, screening, estimates.
     #[arg(long)]
     pub solver_only: bool,
@@ -123,13 +119,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if let Some(plant) = args.histories {
         print(replay::histories(args, plant)?, format)?;
     }
-    if args.plants {
-        plants::rows(|rows| print(rows, format))?;
-    }
-    if args.growth
-        || args.plants
-        || [args.loops.is_some(), args.replay.is_some(), args.histories.is_some()].contains(&true)
-    {
+    if args.growth || [args.loops.is_some(), args.replay.is_some(), args.histories.is_some()].contains(&true) {
         return Ok(Outcome::Done);
     }
     solving::rows(&args.recordings, |rows| print(rows, format))?;

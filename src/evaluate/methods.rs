@@ -1,8 +1,7 @@
 //! The shipped classifier beside published methods, on the same recordings and simulated loops.
 
-use super::rates::{Called, count, share};
-use super::simulated::{Loops, judgeable};
-use super::{Judgeable, Judged};
+use super::Judged;
+use super::simulated::Loops;
 use crate::{Format, say};
 use serde_json::{Value, json};
 use stiction::record::Record;
@@ -10,8 +9,10 @@ use stiction::units::LoopKind;
 use stiction::verdict::rule::Rule;
 use stiction::verdict::tally::{Scored, Tally};
 use stiction::verdict::{Assessment, assess_in_windows};
-use stiction_lab::methods::{ALL, Answer, Case};
-use stiction_lab::truth::{Half, verdict_case};
+use stiction_monitor::analysis::Judgeable;
+use stiction_truth::methods::{ALL, Answer, Case};
+use stiction_truth::rates::{Called, count, share};
+use stiction_truth::{Half, verdict_case};
 
 /// Share of the calibration half's healthy loops that a chosen threshold may call sticking.
 const FALSE_POSITIVES: f64 = 0.05;
@@ -72,7 +73,7 @@ struct Loop {
 fn loops_of(loops: Loops, half: Half) -> Vec<Loop> {
     loops.each(half, |seed| {
         let case = verdict_case(half, seed);
-        let Judgeable { record, windows, params } = judgeable(&case);
+        let Judgeable { record, windows, params } = case.judgeable();
         let assessment = assess_in_windows(&record, &windows, &params);
         let answers = answers(&record, &assessment, case.process.integrating);
         Loop { sticks: case.sticks, answers }

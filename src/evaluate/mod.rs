@@ -1,23 +1,18 @@
 //! `stictiond evaluate`: how often the verdict is right on a labelled set.
 
-pub mod index;
 mod methods;
-pub(super) mod rates;
 mod report;
-pub(super) mod simulated;
+mod simulated;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::bail;
-
 use super::reading::ReadArgs;
-use super::selection::{Whole, whole_record};
 use super::{Format, Outcome, on_all_cores};
-use index::Case;
 use stiction::record::Record;
 use stiction::verdict::{AssessParams, Assessment, assess_in_windows};
-use stiction_monitor::config::Config;
+use stiction_files::labelled::{self, Case};
+use stiction_monitor::analysis::Judgeable;
 
 /// Judge a labelled set of recordings, or simulated loops of known truth, and print how often the verdict is right, with every
 /// wrong case.
@@ -68,21 +63,9 @@ struct Judged {
     elapsed_s: f64,
 }
 
-/// A recording as it is judged.
-pub(super) struct Judgeable {
-    pub record: Record,
-    /// Windows of a long recording; each is judged.
-    pub windows: Vec<Record>,
-    pub params: AssessParams,
-}
-
 /// The first loop of a case's file, whole.
-pub(super) fn record_of(base: &Path, case: &Case, reading: &ReadArgs) -> anyhow::Result<Judgeable> {
-    let loaded = reading.load_file(&base.join(&case.file))?;
-    let Some(first) = loaded.loops.first() else { bail!("{}: no loop found; a loop needs an OP and a PV", case.file) };
-    let Whole { record, windows, settings } = whole_record(first, &Config::with_prefix("plant"))?;
-    let params = AssessParams { always_fit: true, kind: case.kind, ..settings.assess.clone() };
-    Ok(Judgeable { record, windows, params })
+fn judgeable(base: &Path, case: &Case, reading: &ReadArgs) -> anyhow::Result<Judgeable> {
+    labelled::judgeable(case, &reading.load_file(&base.join(&case.file))?.loops)
 }
 
 /// Every readable case of an index.
@@ -92,8 +75,8 @@ pub(super) fn record_of(base: &Path, case: &Case, reading: &ReadArgs) -> anyhow:
 pub(super) fn records(index: &Path) -> anyhow::Result<Vec<(Record, AssessParams)>> {
     let base = index.parent().unwrap_or(Path::new(""));
     let reading = ReadArgs::default();
-    let read = |case: &Case| record_of(base, case, &reading).ok().map(|one| (one.record, one.params));
-    Ok(index::read(index)?.iter().filter_map(read).collect())
+    let read = |case: &Case| judgeable(base, case, &reading).ok().map(|one| (one.record, one.params));
+    Ok(labelled::read(index)?.iter().filter_map(read).collect())
 }
 
 /// Runs the command. A case that cannot be read gives an error line and does not end the command.
@@ -122,7 +105,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 }
 
 fn judge_all(index: &Path, args: &Args) -> anyhow::Result<Vec<Judged>> {
-    let mut cases = index::read(index)?;
+    let mut cases = labelled::read(index)?;
     for case in &mut cases {
         let stem = Path::new(&case.file).file_stem().unwrap_or_default();
         case.doubtful |= args.doubtful.iter().any(|name| stem == name.as_str());
@@ -130,7 +113,7 @@ fn judge_all(index: &Path, args: &Args) -> anyhow::Result<Vec<Judged>> {
     let base = index.parent().unwrap_or(Path::new(""));
     let judge = |case: &Case| {
         let started = Instant::now();
-        let judged = record_of(base, case, &args.reading).map(|Judgeable { record, windows, params }| {
+        let judged = judgeable(base, case, &args.reading).map(|Judgeable { record, windows, params }| {
             let assessment = assess_in_windows(&record, &windows, &params);
             let integrating = methods::integrates(case.kind);
             let answers = args.methods.then(|| methods::answers(&record, &assessment, integrating));

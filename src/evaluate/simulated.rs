@@ -3,18 +3,14 @@
 use serde::Serialize;
 use serde_json::json;
 
-use super::Judgeable;
-use super::rates::{self, Called};
 use crate::{Format, on_all_cores, say};
-use stiction::record::Record;
-use stiction::signal::align::Point;
-use stiction::units::ns_from_s;
 use stiction::verdict::rule::Rule;
 use stiction::verdict::tally::{self, Scored};
 use stiction::verdict::{AssessParams, assess, assess_in_windows};
-use stiction_lab::truth::{Half, TruthLoop, verdict_case, verdict_stretch};
 use stiction_monitor::alarm::{AlarmParams, Evidence};
-use stiction_monitor::engine::{WindowParams, windows};
+use stiction_monitor::analysis::Judgeable;
+use stiction_truth::rates::{self, Called, reliability_lines};
+use stiction_truth::{Half, verdict_case, verdict_stretch};
 
 /// Simulated loops: how many, from which seed.
 #[derive(Debug, Clone, Copy)]
@@ -31,28 +27,6 @@ impl Loops {
     }
 }
 
-/// A simulated loop as a recording of it would be judged.
-pub(crate) fn judgeable(case: &TruthLoop) -> Judgeable {
-    let record = case.record();
-    let windows = windows(&points_of(&record), &WindowParams::default());
-    Judgeable { record, windows, params: AssessParams { always_fit: true, ..AssessParams::default() } }
-}
-
-/// The samples of a simulated record.
-fn points_of(record: &Record) -> Vec<Point> {
-    let point = |k: usize| Point {
-        t_ns: record.start_ns + ns_from_s(k as f64 * record.ts_s),
-        op: record.op_path[k],
-        pv: record.pv[k],
-        sp: record.sp.as_ref().map(|sp| sp[k]),
-        mv: None,
-        manual: false,
-        filled: false,
-        bad: 0,
-    };
-    (0..record.len()).map(point).collect()
-}
-
 /// Each loop judged whole, as a recording is.
 ///
 /// # Errors
@@ -60,7 +34,7 @@ fn points_of(record: &Record) -> Vec<Point> {
 pub fn print(loops: Loops, format: Format) -> anyhow::Result<()> {
     let told = loops.each(Half::Report, |seed| {
         let case = verdict_case(Half::Report, seed);
-        let Judgeable { record, windows, params } = judgeable(&case);
+        let Judgeable { record, windows, params } = case.judgeable();
         let a = assess_in_windows(&record, &windows, &params);
         let interval = a.s_interval.filter(|_| a.stiction == Some(false));
         let bounded = case.s.zip(interval).map(|(s, [low, high])| (low..=high).contains(&s));
@@ -105,19 +79,6 @@ pub fn print(loops: Loops, format: Format) -> anyhow::Result<()> {
         say(line)?;
     }
     Ok(())
-}
-
-/// How far the probabilities can be believed.
-pub fn reliability_lines(all: &[Scored]) -> Vec<String> {
-    let bins = tally::reliability_equal(all, 10);
-    let bin = |b: &tally::Bin| {
-        format!("  p {:.2}..{:.2}  mean {:.3}  sticking {:.3}  ({})", b.from, b.to, b.mean_p, b.rate, b.count)
-    };
-    let mut lines = vec!["reliability, bins of equally many loops:".to_owned()];
-    lines.extend(bins.iter().map(bin));
-    let off = tally::miscalibration(&bins).unwrap_or(f64::NAN);
-    lines.push(format!("mean distance {off:.3}, Brier score {:.3}", tally::brier(all).unwrap_or(f64::NAN)));
-    lines
 }
 
 /// Shares of valves that stick, for which it is said what an alarm is worth.

@@ -11,12 +11,12 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 
 use self::neighbours::{NeighbourArgs, Neighbours};
-use super::challenge;
 use super::reading::{ReadArgs, config_of, named};
 use super::selection::{Selection, points, told, warn};
-use super::{Format, Outcome, UsageError, say, stop};
+use super::{Format, LAB, Outcome, OutputArgs, UsageError, say, stop};
 use indicatif::{ProgressBar, ProgressStyle};
 use stiction::gap::{GapError, effects, text};
+use stiction_command::other::RestArgs;
 use stiction_files::LoadedLoop;
 use stiction_monitor::analysis::gap::{BaseChoice, Diagnosed, GapSettings};
 use stiction_monitor::analysis::predictions::rows;
@@ -51,8 +51,8 @@ pub struct Args {
 /// What `gap` does beside diagnosing one file.
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
-    /// Check the diagnosis on loops whose cause is withheld from it.
-    Challenge(challenge::Args),
+    /// Check the diagnosis on loops whose cause is withheld from it, by the program stiction-lab.
+    Challenge(RestArgs),
 }
 
 /// What to diagnose, and from where.
@@ -112,10 +112,10 @@ fn seconds(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 /// What the diagnosis or the check says.
-pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+pub fn run(args: &Args, output: OutputArgs) -> anyhow::Result<Outcome> {
     match &args.command {
-        Some(Command::Challenge(args)) => challenge::run(args, format),
-        None => diagnose_all(&args.diagnose, format),
+        Some(Command::Challenge(args)) => LAB.run(output, &["challenge"], args),
+        None => diagnose_all(&args.diagnose, output.format),
     }
 }
 

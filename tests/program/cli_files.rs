@@ -305,30 +305,6 @@ fn evaluate_judges_simulated_loops_and_compares_methods() {
     expect(2, &["evaluate", "--simulated", "0"]);
 }
 
-#[test]
-fn calibrate_keeps_what_it_computed_and_writes_a_rule() {
-    let folder = Folder::new();
-    folder.write("A_01.csv", wave(true));
-    let index = folder.write("INDEX.csv", "file,label\nA_01.csv,stiction\ngone.csv,tuning\n");
-    let (features, out) = (folder.path("features.jsonl"), folder.path("rule.json"));
-    let arguments = ["calibrate", "--loops", "4", "--labelled", &index, "--features", &features, "--format", "json"];
-    let first = stdout(&expect(0, &[&arguments[..], &["--out", &out]].concat()));
-    let kept = fs::read_to_string(&features).unwrap();
-    assert_eq!(kept.lines().count(), 9);
-    let again = stdout(&expect(0, &[&arguments[..], &["--out", &out, "--force"]].concat()));
-    assert_eq!(first, again);
-    assert_eq!(fs::read_to_string(&features).unwrap(), kept);
-    expect(1, &[&arguments[..], &["--out", &out]].concat());
-    let told: serde_json::Value = serde_json::from_str(&first).unwrap();
-    let rule: serde_json::Value = serde_json::from_str(&fs::read_to_string(&out).unwrap()).unwrap();
-    assert_eq!(told["rule"], rule);
-    assert_eq!((&rule["made"]["valves"], &rule["made"]["recordings"]), (&1.into(), &1.into()));
-    assert_eq!(told["recordings"]["all"]["total"], 1.0);
-    assert!(told["simulated"]["brier"].is_number());
-    let other = [&arguments[..7], &["--use", "index,travel", "--ridge", "3"]].concat();
-    assert!(stdout(&expect(0, &other)).contains("counted once"));
-}
-
 /// Real tables keep every value on their way through a recording. They stand beside the working copy, if at all.
 #[test]
 fn real_tables_survive() {

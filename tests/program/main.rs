@@ -9,7 +9,6 @@ mod common;
 #[path = "../common/live.rs"]
 mod live;
 
-mod challenge;
 mod cli_files;
 mod cli_gap;
 mod cli_neighbours;
@@ -24,6 +23,7 @@ mod exports;
 mod failover;
 mod golden;
 mod language;
+mod other_programs;
 mod pages;
 mod recordings;
 mod shipped;

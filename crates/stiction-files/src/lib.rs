@@ -9,6 +9,7 @@ pub mod disk;
 pub mod even;
 pub mod export;
 pub mod inputs;
+pub mod labelled;
 pub mod lock;
 pub mod mat;
 mod mcap_index;

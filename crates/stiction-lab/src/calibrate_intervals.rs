@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::truth::{self, Half, Regime};
 use stiction::detect::oscillation;
 use stiction::ident::width::{Floor, Intervals, Settings, Spread, Trust};
 use stiction::ident::{Options, quantify};
 use stiction::signal::stats;
+use stiction_truth::{Half, Regime};
 
 /// One simulated loop: what is true, what was estimated, what the likelihood says. OP units.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,7 +30,7 @@ pub struct Row {
 /// Fits one simulated loop as the daemon fits any; `None` where the fit finds nothing.
 #[must_use]
 pub fn look(half: Half, regime: Regime, seed: u64) -> Option<Row> {
-    let case = truth::accuracy(half, regime, seed);
+    let case = stiction_truth::accuracy(half, regime, seed);
     let record = case.record();
     let period_points = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let options = Options { seed, period_points, ..Options::default() };

@@ -4,7 +4,6 @@
 //! The differences to the recording are simulated: PV's by the noise model's A and B from the difference that the stem makes,
 //! OP's by the controller as read from the recording. Without an effect the recording itself comes out.
 
-use crate::truth::draw::Draw;
 use stiction::gap::budget::Budget;
 use stiction::gap::budget::search::Model;
 use stiction::gap::budget::series::Series;
@@ -13,6 +12,7 @@ use stiction::record::Record;
 use stiction::signal::stats::std_dev;
 use stiction::signal::{detrend, stats};
 use stiction::sim::valve::he_step;
+use stiction_truth::draw::Draw;
 
 /// Effects that are put in.
 pub const EFFECTS: [&str; 5] = ["step_load", "outliers", "sinusoid", "ramp", "gain_drift"];

@@ -1,15 +1,12 @@
-//! What proves [`stiction`]: loops whose truth is known, a sealed challenge for the gap diagnosis with its scorer, and
-//! the fits of the verdict's rule and of the intervals to what was simulated and labelled.
+//! What proves [`stiction`], on the loops of [`stiction_truth`]: a sealed challenge for the gap diagnosis with its scorer,
+//! and the fits of the verdict's rule and of the intervals to what was simulated and labelled.
 //!
 //! The library cannot use any of this, as it does not depend on this crate.
 //!
 //! | room | |
 //! |---|---|
-//! | [`truth`] | closed loops of known truth, by the thousand |
-//! | [`fixture`] | loops that a test writes down |
 //! | [`challenge`] | recordings with one withheld cause each, their sealed truth, the scorer |
 //! | [`hybrid`] | effects put into real loops that are closed again |
-//! | [`methods`] | published methods of detection, one file each |
 //! | [`bump_test`] | the bump test that an estimate proposes, carried out on simulated valves |
 //! | [`calibrate`] | the rule behind `p_stiction`, leaving out valve by valve |
 //! | [`calibrate_gap`] | how sure the gap's decision is |
@@ -25,8 +22,5 @@ pub mod calibrate_gap;
 pub mod calibrate_intervals;
 pub mod calibrate_plants;
 pub mod challenge;
-pub mod fixture;
 pub mod hybrid;
-pub mod methods;
 pub mod plants;
-pub mod truth;

@@ -3,8 +3,8 @@
 use super::artefact::{Artefact, spikes};
 use super::kinds::Kind;
 use super::plant::{Drive, Neighbour, Plant, ProcessSpec};
-use crate::truth::draw::{Draw, scaled};
 use stiction::sim::disturbance::Disturbance;
+use stiction_truth::draw::{Draw, scaled};
 
 /// The loop's signals without the effect and the length of the run, which define the sizes.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -9,13 +9,13 @@ use super::enter::{Made, Scale};
 use super::kinds::Kind;
 use super::plant::{Drive, Plant, ProcessSpec, Run};
 use super::valve::{Law, Packing, ValveSpec};
-use crate::truth::draw::Draw;
-use crate::truth::rig::{motions, tune, turns};
 use stiction::signal::stats::{mean, quantile, std_dev};
 use stiction::sim::controller::{Action, PidSettings};
 use stiction::sim::friction::SUB_STEPS;
 use stiction::sim::noise::Noise;
 use stiction::sim::process::{Pole, ProcessModel};
+use stiction_truth::draw::Draw;
+use stiction_truth::rig::{motions, tune, turns};
 
 /// Draws of a case before an effect that hardly shows is kept.
 const TRIES: u32 = 8;

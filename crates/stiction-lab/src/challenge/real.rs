@@ -1,10 +1,10 @@
 //! Known truth in real recordings: exact artefacts, and effects added to an existing PV.
 
 use super::artefact::{Artefact, spikes};
-use crate::truth::draw::Draw;
 use stiction::record::Record;
 use stiction::signal::stats::{noise_sd, quantile, std_dev};
 use stiction::sim::disturbance::Disturbance;
+use stiction_truth::draw::Draw;
 
 /// A recording with an effect added to its PV.
 #[derive(Debug, Clone, PartialEq)]

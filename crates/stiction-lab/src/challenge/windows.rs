@@ -2,8 +2,8 @@
 
 use super::generator::{Case, Order, case};
 use super::kinds::Kind;
-use crate::truth::draw::Draw;
 use stiction::record::Record;
+use stiction_truth::draw::Draw;
 
 /// Windows, and periods in each.
 pub const WINDOWS: usize = 5;

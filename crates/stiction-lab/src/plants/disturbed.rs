@@ -3,9 +3,9 @@
 use super::generator::{healthy, sticking};
 use super::network::{Edge, Entry, Origin, Own, run};
 use crate::challenge::plant::Plant;
-use crate::truth::draw::{Draw, std_dev};
 use stiction::record::Record;
 use stiction::units::ns_from_s;
+use stiction_truth::draw::{Draw, std_dev};
 
 /// Scans before the records begin.
 const BEFORE: usize = 800;

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use super::{Difficulty, plant, stretched};
-use crate::truth::draw::Draw;
 use stiction::plantwide::{PlantLoop, frequency_hz};
 use stiction::record::Record;
 use stiction::signal::stats::span;
 use stiction::verdict::{Assessment, Oscillation, Window};
+use stiction_truth::draw::Draw;
 
 /// Plants that are drawn of either kind.
 const PLANTS: u64 = 12;

@@ -5,12 +5,12 @@ use super::{CaseLoop, Difficulty, Role};
 use crate::challenge::generator as one;
 use crate::challenge::plant::{Drive, Plant};
 use crate::challenge::valve::{Law, Packing, ValveSpec};
-use crate::truth::draw::{Draw, std_dev};
-use crate::truth::rig::{tune, turns, ultimate};
-use crate::truth::storage;
 use stiction::record::Record;
 use stiction::sim::process::ProcessModel;
 use stiction::units::ns_from_s;
+use stiction_truth::draw::{Draw, std_dev};
+use stiction_truth::rig::{tune, turns, ultimate};
+use stiction_truth::storage;
 
 /// Sampling times that archives have, scans.
 const SAMPLING: [usize; 7] = [1, 2, 5, 10, 15, 30, 60];

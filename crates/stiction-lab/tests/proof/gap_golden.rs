@@ -15,7 +15,7 @@ use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stiction::sim::controller::{Action, PidSettings};
 use stiction::sim::disturbance::Disturbance;
 use stiction::sim::process::ProcessModel;
-use stiction_lab::fixture::Draw;
+use stiction_truth::fixture::Draw;
 
 /// A sticking valve before a first-order process.
 fn plain() -> LoopModel {

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use stiction::record::Record;
 use stiction::units::LoopKind;
 use stiction::verdict::{AssessParams, Assessment, assess};
-use stiction_lab::fixture::boxed;
+use stiction_truth::fixture::boxed;
 
 /// One labelled recording.
 pub struct Labelled {

@@ -8,9 +8,9 @@ use stiction::sim::closed_loop::{ValveLaw, ValveModel};
 use stiction::sim::disturbance::Disturbance;
 use stiction::sim::noise::quantise;
 use stiction::verdict::{AssessParams, Assessment, P_CALM, SCREENED, Verdict, assess, is_screened_out};
-use stiction_lab::fixture::Draw;
-use stiction_lab::fixture::healthy::{drawn, healthy, settled};
-use stiction_lab::truth::{Half, Regime, accuracy, verdict_case};
+use stiction_truth::fixture::Draw;
+use stiction_truth::fixture::healthy::{drawn, healthy, settled};
+use stiction_truth::{Half, Regime, accuracy, verdict_case};
 
 fn params(screening: bool) -> AssessParams {
     AssessParams { screening, ..AssessParams::default() }

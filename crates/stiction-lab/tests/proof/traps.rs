@@ -6,8 +6,8 @@ use stiction::record::Record;
 use stiction::sim::closed_loop::{ClosedLoop, LoopModel};
 use stiction::sim::disturbance::Disturbance;
 use stiction::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
-use stiction_lab::fixture::Draw;
-use stiction_lab::fixture::healthy::{drawn, healthy, settled};
+use stiction_truth::fixture::Draw;
+use stiction_truth::fixture::healthy::{drawn, healthy, settled};
 
 /// Shares of the ultimate gain at which a loop is sane.
 const SANE: [f64; 2] = [0.2, 0.5];

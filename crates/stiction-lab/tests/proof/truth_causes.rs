@@ -9,7 +9,7 @@ use stiction::sim::disturbance::Disturbance;
 use stiction::sim::process::ProcessModel;
 use stiction::sim::scenario::Scenario;
 use stiction::verdict::{AssessParams, Verdict, assess};
-use stiction_lab::fixture::healthy::{healthy, plain, settled, shaken, ultimate};
+use stiction_truth::fixture::healthy::{healthy, plain, settled, shaken, ultimate};
 
 /// Verdicts over seeds for one loop of a plant.
 fn verdicts(text: &str, seeds: u64) -> BTreeMap<&'static str, usize> {

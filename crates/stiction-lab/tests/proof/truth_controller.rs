@@ -8,7 +8,7 @@ use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stiction::sim::controller::{Action, PidSettings};
 use stiction::sim::disturbance::Disturbance;
 use stiction::sim::process::ProcessModel;
-use stiction_lab::fixture::{Draw, boxed};
+use stiction_truth::fixture::{Draw, boxed};
 
 /// A sane loop drawn at random: every other one with derivative, sticking valve and coarse output by turns.
 fn drawn(seed: u64) -> LoopModel {

@@ -6,8 +6,8 @@ use stiction::signal::stats::span;
 use stiction::sim::closed_loop::{ClosedLoop, ValveLaw, ValveModel};
 use stiction::sim::disturbance::Disturbance;
 use stiction::verdict::{AssessParams, Assessment, assess};
-use stiction_lab::fixture::Draw;
-use stiction_lab::fixture::healthy::drawn;
+use stiction_truth::fixture::Draw;
+use stiction_truth::fixture::healthy::drawn;
 
 /// A loop that something moves: by seed a load that swings, a random load, or a set point in steps.
 fn moving(seed: u64, noise: f64, valve: ValveModel) -> Record {

@@ -13,7 +13,7 @@ use stiction::sim::disturbance::Disturbance;
 use stiction::sim::process::ProcessModel;
 use stiction::sim::slips::Stroke;
 use stiction_lab::challenge::{Deck, Split};
-use stiction_lab::fixture::Draw;
+use stiction_truth::fixture::Draw;
 
 /// A sticking valve before a first-order process, its set point moved now and then.
 fn plain(seed: u64) -> LoopModel {

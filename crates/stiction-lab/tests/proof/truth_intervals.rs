@@ -6,7 +6,7 @@ use stiction::ident::Options;
 use stiction::ident::width::{Settings, Trust};
 use stiction::verdict::{AssessParams, Assessment, ValveChoice, assess};
 use stiction_lab::calibrate_intervals::{look, table};
-use stiction_lab::truth::{self, Half, Regime};
+use stiction_truth::{self as truth, Half, Regime};
 
 const MATCHED: [Regime; 6] = [
     Regime::HeStart,

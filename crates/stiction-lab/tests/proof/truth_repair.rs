@@ -10,7 +10,7 @@ use stiction::sim::controller::{Action, PidSettings};
 use stiction::sim::disturbance::Disturbance;
 use stiction::sim::process::ProcessModel;
 use stiction::verdict::{AssessParams, assess};
-use stiction_lab::fixture::Draw;
+use stiction_truth::fixture::Draw;
 
 const SAMPLES: usize = 1_200;
 const SETTLES: usize = 1_200;

@@ -7,7 +7,7 @@ use stiction::ident::surface::{Surface, solve};
 use stiction::ident::{ModelChoice, Options, ValveChoice};
 use stiction::optim::{self, Settings};
 use stiction::sim::slips::Law;
-use stiction_lab::fixture::Loop;
+use stiction_truth::fixture::Loop;
 
 /// Enough for this record; the command line allows more.
 const BUDGET: u64 = 4000;

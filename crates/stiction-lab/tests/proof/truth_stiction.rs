@@ -7,7 +7,7 @@ use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::sim::slips::Law;
 use stiction::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
-use stiction_lab::fixture::{Draw, Loop, boxed};
+use stiction_truth::fixture::{Draw, Loop, boxed};
 
 fn params() -> AssessParams {
     AssessParams { always_fit: true, ..AssessParams::default() }

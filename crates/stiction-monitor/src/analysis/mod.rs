@@ -26,7 +26,7 @@ pub mod text;
 pub use cut::{Cut, Detrend, Downsampled, Taken};
 pub use due::Due;
 pub use estimate::{Answer, Estimated, FitOverrides, Scored, delay_choice, estimate};
-pub use points::{MIN_SAMPLES, Points, Section, usable};
+pub use points::{Judgeable, MIN_SAMPLES, Points, Section, usable};
 
 use thiserror::Error;
 

@@ -10,7 +10,7 @@ use crate::engine::{LoopSettings, longest, section, windows};
 use stiction::record::{Record, Sample, Signal, Value};
 use stiction::signal::align::{Point, align_all};
 use stiction::units::format_rfc3339;
-use stiction::verdict::swapped;
+use stiction::verdict::{AssessParams, swapped};
 
 /// Fewest usable samples, and fewest points after downsampling, for a fit.
 pub const MIN_SAMPLES: usize = 30;
@@ -88,6 +88,17 @@ pub struct Points {
     stretches: Vec<Vec<Point>>,
 }
 
+/// A whole recording as it is judged.
+#[derive(Debug, Clone)]
+pub struct Judgeable {
+    /// Longest section without a data gap.
+    pub record: Record,
+    /// Windows of a long recording; each is judged.
+    pub windows: Vec<Record>,
+    /// How it is judged.
+    pub params: AssessParams,
+}
+
 impl Points {
     /// Joins a loop's samples with the configuration of the recording.
     #[must_use]
@@ -136,6 +147,16 @@ impl Points {
     pub fn windows(&self, part: Section) -> Result<Vec<Record>, AnalysisError> {
         let (from_ns, to_ns) = self.bounds(part)?;
         Ok(windows(longest(&self.stretches, from_ns, to_ns).0, &self.settings.window))
+    }
+
+    /// The whole recording as it is judged, and notes for the user.
+    ///
+    /// # Errors
+    /// There is no sample with both OP and PV.
+    pub fn judgeable(&self) -> Result<(Judgeable, Vec<String>), AnalysisError> {
+        let (record, notes) = self.record(Section::Whole, self.settings.window.max_points)?;
+        let windows = self.windows(Section::Whole)?;
+        Ok((Judgeable { record, windows, params: self.settings.assess.clone() }, notes))
     }
 
     /// Every joined sample of a section, across data gaps.

@@ -4,8 +4,8 @@ use super::*;
 use stiction::plantwide::GroupDocument;
 use stiction::record::Record;
 use stiction::verdict::{AssessParams, assess};
-use stiction_lab::fixture::group::driven_group;
 use stiction_monitor::alarm::Alarm;
+use stiction_truth::fixture::group::driven_group;
 
 fn estimate(name: &str, end_ns: i64, s: Option<f64>, verdict: Verdict) -> Arc<EstimateDocument> {
     let mut a = assess(&Record::uniform(1.0, vec![1.0; 40], vec![1.0; 40]), &AssessParams::default());

@@ -27,7 +27,7 @@ pub const EXPRESSED: f64 = 1.10;
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum ScoreError {
     /// Recordings without an answer.
-    #[error("{missing} of {all} recordings have no answer, first {first}; finish `gap challenge run`")]
+    #[error("{missing} of {all} recordings have no answer, first {first}; finish `challenge run`")]
     Missing {
         /// Number missing.
         missing: usize,

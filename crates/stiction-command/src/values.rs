@@ -1,0 +1,31 @@
+//! Values with a comma between them, as options take them.
+
+/// Two words with a comma between them.
+///
+/// # Errors
+/// There is no comma.
+pub fn pair(text: &str) -> Result<(&str, &str), String> {
+    text.split_once(',').ok_or_else(|| format!("{text:?} : write two values with a comma between them, such as 50,500"))
+}
+
+/// Two numbers, lower first.
+///
+/// # Errors
+/// They are no numbers, or the first is not the lower.
+pub fn rising(text: &str) -> Result<[f64; 2], String> {
+    let (low, high) = pair(text)?;
+    let number = |s: &str| s.trim().parse::<f64>().map_err(|_| format!("{s:?} is not a number"));
+    let range = [number(low)?, number(high)?];
+    if range[1] > range[0] { Ok(range) } else { Err("the upper end must be above the lower".to_owned()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::rising;
+
+    #[test]
+    fn two_rising_numbers_are_read_or_refused() {
+        assert_eq!(rising("0, 100"), Ok([0.0, 100.0]));
+        assert!(rising("5,5").is_err() && rising("5").is_err() && rising("a,b").is_err());
+    }
+}

@@ -1,0 +1,71 @@
+//! `stiction-lab` checks and calibrates what `stictiond` says: challenges with a withheld cause, the fits of the classifier, of
+//! the intervals and of the rules for plants. A plant's daemon needs none of it.
+
+mod calibrate;
+mod challenge;
+mod fleet;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+use serde_json::json;
+use stiction_command::manual::{self, ManualArgs, Shell};
+use stiction_command::{Format, Outcome, OutputArgs, exit_code, log, parse, print, say};
+
+/// Check the gap diagnosis on withheld causes, and calibrate the classifier, the intervals and the rules for plants.
+///
+/// Exit codes: 0 done, 1 failed, 2 wrong command line.
+#[derive(Debug, Parser)]
+#[command(name = "stiction-lab", version, max_term_width = 100)]
+struct Cli {
+    #[command(flatten)]
+    output: OutputArgs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Challenge(challenge::Args),
+    Calibrate(calibrate::Args),
+    /// Time the comparison of 1,000, 10,000 and 100,000 loops, of which one in five oscillates.
+    Fleet,
+    /// Write man pages, one per command.
+    Manual(ManualArgs),
+    /// Print completions for a shell.
+    Completions {
+        /// The shell.
+        shell: Shell,
+    },
+}
+
+/// Reads the command line and runs one command.
+fn main() -> ExitCode {
+    let cli: Cli = match parse() {
+        Ok(cli) => cli,
+        Err(code) => return code,
+    };
+    log::start(cli.output.log, "info");
+    exit_code("stiction-lab", run(&cli))
+}
+
+fn run(cli: &Cli) -> anyhow::Result<Outcome> {
+    let format = cli.output.format;
+    match &cli.command {
+        Command::Challenge(args) => challenge::run(args, format),
+        Command::Calibrate(args) => calibrate::run(args, format),
+        Command::Fleet => fleet::run(format),
+        Command::Manual(args) => {
+            let pages = manual::write(Cli::command(), args)?;
+            match format {
+                Format::Json => say(json!({"schema": "stictiond.manual.v1", "pages": pages}))?,
+                Format::Text => say(format!("{} man pages in {}", pages.len(), args.out.display()))?,
+            }
+            Ok(Outcome::Done)
+        }
+        Command::Completions { shell } => {
+            print(&manual::completions(Cli::command(), *shell))?;
+            Ok(Outcome::Done)
+        }
+    }
+}
