@@ -6,11 +6,12 @@
 //! | `columns.rs` | bytes to samples |
 //! | `options.rs` | words and numbers to fit options |
 //! | `supervise.rs` | work on threads without Python's lock, watched for Ctrl-C and progress |
-//! | `assess.rs`, `windows.rs`, `diagnose.rs`, `read.rs`, `repair.rs`, `simulate.rs` | the functions |
+//! | `assess.rs`, `windows.rs`, `diagnose.rs`, `error_map.rs`, `read.rs`, `repair.rs`, `simulate.rs` | the functions |
 
 mod assess;
 mod columns;
 mod diagnose;
+mod error_map;
 mod options;
 mod read;
 mod repair;
@@ -43,6 +44,8 @@ mod _stiction {
     use super::assess::{assess, assess_many, assess_plant, screen};
     #[pymodule_export]
     use super::diagnose::diagnose;
+    #[pymodule_export]
+    use super::error_map::error_map;
     #[pymodule_export]
     use super::read::read;
     #[pymodule_export]

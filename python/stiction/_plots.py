@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import wraps
@@ -9,6 +10,7 @@ from textwrap import fill
 from typing import Any, ParamSpec, TypeVar
 
 import matplotlib
+import matplotlib.colors
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -224,6 +226,77 @@ def phase_of(found: Assessment, table: Any, ax: Axes | None) -> Axes:
     record = _record_of(found, table)
     ax = new_axes(ax, 4.6, 4.2)
     _phase(ax, _rows(record.columns), found)
+    return ax
+
+
+REGIONS = (
+    (0.052, 0.013, "none"), (0.43, 0.385, "deadband"), (0.52, 0.27, "deadband with stick and slip"),
+    (0.79, 0.028, "stick-slip"), (0.135, 0.058, "weak"), (0.33, 0.12, "moderate"), (0.72, 0.13, "strong"),
+)  # fmt: skip
+"""Words of the regions, at shares of OP's span."""
+BOUNDS = (((0.1, 0.0), (0.1, 0.1)), ((0.1, 0.015), (1.0, 0.15)), ((0.1, 0.085), (1.0, 0.85)),
+          ((0.2, 0.0), (0.2, 0.2)), ((0.6, 0.0), (0.6, 0.6)))  # fmt: skip
+"""Lines between the regions, as (s, j) at shares of OP's span."""
+
+
+def _bands(s: float, j: float) -> tuple[float, float]:
+    return 0.5 * (s + j), 0.5 * (s - j)
+
+
+def _ring(low: tuple[float, float], high: tuple[float, float]) -> list[tuple[float, float]]:
+    return [low, (high[0], low[1]), high, (low[0], high[1]), low]
+
+
+def _map_of(found: Assessment, table: Any, order: int | None, step: float) -> dict[str, Any]:
+    if found.process is None:
+        raise _arrays.refused("record", "this result has no model: nothing was fitted")
+    chosen = found.process.order if order is None else _arrays.whole("order", order, 1)
+    if chosen > 2 or not 0.005 <= _arrays.positive("step", step) <= 0.25:
+        raise _arrays.refused(*(("order", "give 1 or 2") if chosen > 2 else ("step", "give a share from 0.005 to 0.25")))
+    record = _record_of(found, table)
+    window = tuple(f"{int(end.astype(np.int64))}ns" for end in found.window)
+    look = {**record.look, "samples": None, "window": window}
+    told: dict[str, Any] = json.loads(
+        _stiction.error_map(record.name, record.columns, look, found.to_json(), chosen, step)
+    )
+    return told
+
+
+@_styled
+def error_map(found: Assessment, table: Any, order: int | None, step: float, ax: Axes | None) -> Axes:
+    """The error over the plane of the bands, with the suggested region and the answer."""
+    told = _map_of(found, table, order, step)
+    ax = new_axes(ax, 6.4, 4.4)
+    span, side = told["span"], told["step"]
+    fs, fd, rms = np.array(told["cells"], dtype=float).T
+    at, above = np.rint(fs / side).astype(int), np.rint(fd / side).astype(int)
+    z = np.full((above.max() + 1, at.max() + 1), np.nan)
+    z[above, at] = 100.0 * rms / told["pv_sd"]
+    low, high = np.nanmin(z), np.nanmax(z)
+    scale = matplotlib.colors.LogNorm(low, high) if low > 0 and high > 3 * low else matplotlib.colors.Normalize(low, high)
+    ax.fill([0, 0.5 * span, span], [0, 0.5 * span, 0], color="#808690", lw=0)
+    edges = [side * (np.arange(n + 1) - 0.5) for n in z.shape[::-1]]
+    cells = ax.pcolormesh(*edges, z, norm=scale, cmap="viridis")
+    ax.get_figure(root=True).colorbar(cells, ax=ax, label="rms error, % of PV's std")  # type: ignore[union-attr]
+    for ends in BOUNDS:
+        ax.plot(*zip(*(_bands(s * span, j * span) for s, j in ends)), color=INK["paper"], lw=0.8, ls=(0, (4, 3)))
+    for x, y, word in REGIONS:
+        ax.text(x * span, y * span, word, color=INK["paper"], fontsize=8, ha="center", va="center")
+    left, right = ((max(least - side / 2, 0.0), most + side / 2) for least, most in told["region"])
+    ax.plot(*zip(*_ring((left[0], right[0]), (left[1], right[1]))), color=INK["paper"], lw=1.6, label="suggested region")
+    if found.process is not None and found.process.order == told["order"]:
+        if found.s_interval is not None and found.j_interval is not None:
+            corners = _ring(*zip(found.s_interval, found.j_interval))
+            ring = [_bands(min(s, span), min(max(j, 0.0), s, span)) for s, j in corners]
+            ax.plot(*zip(*ring), color=INK["op"], lw=1.6, label="90 % interval")
+        if found.fs is not None and found.fd is not None:
+            ax.plot(found.fs, found.fd, "o", mfc="none", mec=INK["op"], mew=1.8, ms=8, label="answer")
+    ax.plot(*told["best"], "o", color=INK["error"], ms=5, label="least error")
+    ax.set(xlim=(0, 1.02 * span), ylim=(0, 0.54 * span), xlabel="fs, OP units", ylabel="fd, OP units")
+    ax.set_title(f"{found.loop}: error map, order {told['order']}", pad=22)
+    ax.grid(visible=False)
+    legend(ax)
+    ax.get_legend().get_lines()[0].set_color(INK["soft"])  # type: ignore[union-attr]
     return ax
 
 

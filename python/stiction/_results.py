@@ -182,6 +182,16 @@ class Assessment:
         drawn: Axes = drawing().phase_of(self, record, ax)
         return drawn
 
+    def plot_error_map(
+        self, record: Any = None, *, order: Literal[1, 2] | None = None, step: float = 0.025, ax: Axes | None = None
+    ) -> Axes:
+        """Draw the free-run error over the bands fs and fd, each cell with its best process; takes some seconds.
+
+        record: as for `plot`. order: of the process; None for that of the estimate. step: of a cell, a share of OP's span.
+        """
+        drawn: Axes = drawing().error_map(self, record, order, step, ax)
+        return drawn
+
     def plot_indicators(self, *, ax: Axes | None = None) -> Axes:
         """Draw what each indicator adds to the log-odds of the probability."""
         drawn: Axes = drawing().indicators(self, ax)

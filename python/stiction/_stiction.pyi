@@ -25,6 +25,9 @@ def diagnose(
     asked: dict[str, Any],
     progress: Callable[[int, int], object] | None,
 ) -> tuple[str, str, list[bytes]]: ...
+def error_map(
+    name: str, columns: dict[str, Any], look: dict[str, Any], document: str, order: int, step: float
+) -> str: ...
 def read(
     paths: list[str], format: dict[str, str | None]
 ) -> tuple[list[tuple[str, bytes, list[bytes], list[str | None]]], list[str]]: ...

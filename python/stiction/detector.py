@@ -76,7 +76,7 @@ class StictionDetector(_Base):  # type: ignore[misc]
     def fit(self, X: Loops, y: ArrayLike | None = None) -> StictionDetector:
         """Note the shape of X; y is not used."""
         self._loops(X, reset=True)
-        _threshold(self.threshold)
+        threshold_of(self.threshold)
         self.classes_ = np.array([0, 1])
         return self
 
@@ -107,7 +107,7 @@ class StictionDetector(_Base):  # type: ignore[misc]
     def predict(self, X: Loops) -> NDArray[np.int64]:
         """1 where the valve sticks, 0 where no stiction was found, -1 where the record allows no answer."""
         p = self._probabilities(self.assess(X))[:, 1]
-        return np.where(np.isnan(p), -1, p >= _threshold(self.threshold)).astype(np.int64)
+        return np.where(np.isnan(p), -1, p >= threshold_of(self.threshold)).astype(np.int64)
 
     def fit_predict(self, X: Loops, y: ArrayLike | None = None) -> NDArray[np.int64]:
         """`fit`, then `predict`."""
@@ -123,8 +123,7 @@ class StictionDetector(_Base):  # type: ignore[misc]
 
     @staticmethod
     def _probabilities(results: Results[Assessment | Failure]) -> NDArray[np.float64]:
-        sure = [one.p_stiction if isinstance(one, Assessment) and one.stiction is not None else None for one in results]
-        p = np.array([np.nan if value is None else value for value in sure], dtype=np.float64)
+        p = np.array([probability(one) for one in results], dtype=np.float64)
         return np.stack([1.0 - p, p], axis=1)
 
     def _loops(self, X: Any, reset: bool) -> list[dict[str, Any]]:
@@ -161,7 +160,14 @@ class StictionDetector(_Base):  # type: ignore[misc]
         return loop
 
 
-def _threshold(value: Any) -> float:
+def probability(result: Assessment | Failure) -> float:
+    """The probability that the valve sticks; NaN where there is no answer."""
+    if isinstance(result, Failure) or result.stiction is None or result.p_stiction is None:
+        return np.nan
+    return result.p_stiction
+
+
+def threshold_of(value: Any) -> float:
     number = _arrays.positive("threshold", value)
     if number > 1.0:
         raise _arrays.refused("threshold", f"{number} is not a probability; give a number above 0, at most 1")

@@ -59,7 +59,7 @@ def test_it_is_the_installed_one() -> None:
     about = metadata.metadata("stiction")
     assert about["Version"] == stiction.__version__ and "2" in about["Metadata-Version"]
     assert {Path(str(f)).name for f in metadata.files("stiction") or []} >= {"LICENSE-MIT", "LICENSE-APACHE", "py.typed"}
-    assert set(about.get_all("Provides-Extra") or []) == {"plot", "sklearn", "pandas"}
+    assert set(about.get_all("Provides-Extra") or []) == {"plot", "sklearn", "sktime", "pandas"}
     # One wheel for every Python from 3.10 on.
     assert "cp310-abi3" in (metadata.distribution("stiction").read_text("WHEEL") or "")
 

@@ -163,6 +163,28 @@ def test_the_picture_of_an_assessment(found: stiction.Assessment, sticking: stic
     assert np.isclose(sum(bars[:-1]), bars[-1], atol=1e-6) and np.isclose(bars[-1], explained["logit"])
 
 
+def test_the_error_map_is_least_near_the_truth(found: stiction.Assessment) -> None:
+    axes = found.plot_error_map(step=0.05)
+    drawn = lines(axes)
+    assert {"suggested region", "answer", "least error", "90 % interval"} <= set(drawn)
+    cells = axes.collections[0]
+    z, corners = cells.get_array(), cells.get_coordinates()
+    row, column = np.unravel_index(np.nanargmin(np.ma.filled(z, np.nan)), z.shape)
+    middle = corners[row : row + 2, column : column + 2].mean(axis=(0, 1))
+    least = np.concatenate(drawn["least error"].get_data())
+    assert np.allclose(middle, least)
+    region = np.array(drawn["suggested region"].get_data())
+    inside = (region.min(axis=1) <= least) & (least <= region.max(axis=1))
+    # The valve has fs 5 and fd 3; a cell is a twentieth of OP's span.
+    assert inside.all() and (np.abs(least - [5.0, 3.0]) < 0.1 * found.s0).all()
+    assert np.allclose(np.concatenate(drawn["answer"].get_data()), [found.fs, found.fd])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("fs, OP units", "fd, OP units")
+    assert "answer" not in lines(found.plot_error_map(order=3 - found.process.order, step=0.1))
+    for wrong, said in (({"order": 3}, "order: give 1 or 2"), ({"step": 0.5}, "step: give a share")):
+        with pytest.raises(stiction.StictionError, match=said):
+            found.plot_error_map(**wrong)
+
+
 def test_axes_and_figures_of_the_caller_are_used(found: stiction.Assessment) -> None:
     before = dict(matplotlib.rcParams)
     figure, axes = pyplot.subplots(1, 3)
