@@ -1,5 +1,6 @@
 //! What keeps loops from being judged: every fault that is put into the signals of a simulated plant is found, and nothing else.
 
+mod recorded;
 mod summary;
 
 use std::collections::BTreeSet;
@@ -11,7 +12,7 @@ use stiction::sim::scenario::Scenario;
 use stiction::units::s_from_ns;
 use stiction_monitor::alarm::LoopContext;
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event};
+use stiction_monitor::engine::{Engine, Event, PlantWatch};
 use stiction_runtime::overview::{ObstacleKind, Overview};
 
 const SCENARIO: &str = include_str!("../../recordings/scenarios/sticking.toml");
@@ -27,9 +28,9 @@ enum Fault {
 }
 
 use Fault::Of;
-use ObstacleKind::{AtLimit, Compressed, Frozen, Manual, Silent, Swapped, TooSlow};
+use ObstacleKind::{AtLimit, Compressed, Frozen, Manual, Misplaced, Silent, Swapped, TooSlow, WrongSign};
 
-const FAULTS: [ObstacleKind; 7] = [Silent, Frozen, Swapped, AtLimit, Manual, TooSlow, Compressed];
+const FAULTS: [ObstacleKind; 9] = [Silent, Frozen, Swapped, Misplaced, WrongSign, AtLimit, Manual, TooSlow, Compressed];
 /// Loops with each fault, and those that never send; the others of a hundred are healthy.
 const OF_EACH: usize = 3;
 const LOOPS: usize = 100;
@@ -73,6 +74,7 @@ fn with_fault(samples: &[Sample], fault: Fault) -> Vec<(f64, Sample)> {
             }
             (Of(AtLimit), Signal::Op, Value::Number(op)) => *op = op.min(50.0),
             (Of(Manual), Signal::Mode, mode) => *mode = Value::Mode(Mode::Manual),
+            (Of(WrongSign), Signal::Op, Value::Number(op)) => *op = 100.0 - *op,
             (Of(Swapped), Signal::Op, _) => sample.signal = Signal::Pv,
             (Of(Swapped), Signal::Pv, _) => sample.signal = Signal::Op,
             _ => {}
@@ -82,8 +84,33 @@ fn with_fault(samples: &[Sample], fault: Fault) -> Vec<(f64, Sample)> {
     samples.iter().filter_map(change).collect()
 }
 
+/// The loop whose PV comes under the name of this one: two have exchanged theirs, one has that of a healthy loop.
+fn pv_of(name: &str) -> Option<&'static str> {
+    match name {
+        "Misplaced-0" => Some("Misplaced-1"),
+        "Misplaced-1" => Some("Misplaced-0"),
+        "Misplaced-2" => Some("Healthy-0"),
+        _ => None,
+    }
+}
+
+/// A loop's samples with PV of another one.
+fn with_pv_of(mut samples: Vec<Sample>, other: &[Sample]) -> Vec<Sample> {
+    samples.retain(|sample| sample.signal != Signal::Pv);
+    samples.extend(other.iter().filter(|sample| sample.signal == Signal::Pv));
+    samples.sort_by_key(|sample| sample.t_ns);
+    samples
+}
+
 /// Feeds a loop's samples of a stretch of time, in seconds, and shows what the engine makes of them.
-fn feed(engine: &mut Engine, overview: &Overview, name: &str, samples: &[(f64, Sample)], now: Instant) {
+fn feed(
+    engine: &mut Engine,
+    watch: &mut PlantWatch,
+    overview: &Overview,
+    name: &str,
+    samples: &[(f64, Sample)],
+    now: Instant,
+) {
     let (id, place) = (engine.appear(name).unwrap(), LoopContext::default());
     let name: Arc<str> = name.into();
     let mut events = Vec::new();
@@ -93,6 +120,9 @@ fn feed(engine: &mut Engine, overview: &Overview, name: &str, samples: &[(f64, S
             for event in std::mem::take(&mut events) {
                 match event {
                     Event::Request(request) => engine.complete(id, request.seq, request.compute(), &mut events),
+                    Event::Window(_, window) => {
+                        watch.keep(&name, *window);
+                    }
                     Event::Estimate(_, document) => overview.estimate(&name, &place, now, Arc::from(document)),
                     _ => {}
                 }
@@ -105,20 +135,30 @@ fn feed(engine: &mut Engine, overview: &Overview, name: &str, samples: &[(f64, S
 #[test]
 fn every_fault_of_a_simulated_plant_is_found_and_nothing_else() {
     let never = (0..OF_EACH).map(|k| format!("[[loop]]\nname = \"Never-{k}\"\nop = \"gw/{k}\"\n")).collect::<String>();
-    let text = format!("[site]\nprefix = \"p\"\n[window]\nhop_s = 800.0\nmin_samples_per_period = 45\n{never}");
+    let acting = ["WrongSign-0", "WrongSign-1", "WrongSign-2", "Healthy-0", "Compressed-0"]
+        .map(|name| format!("[[loop]]\nname = \"{name}\"\naction = \"reverse\"\n"))
+        .concat();
+    let text = format!("[site]\nprefix = \"p\"\n[window]\nhop_s = 800.0\nmin_samples_per_period = 45\n{never}{acting}");
     let config = Arc::new(Config::parse(&text).unwrap());
     let (mut engine, overview, now) = (Engine::new(config.engine()), Overview::default(), Instant::now());
     let later = now + Duration::from_secs(301);
     overview.expect(config, now, 5_000_000);
-    let plant = plant();
+    let (plant, mut watch) = (plant(), PlantWatch::default());
+    let seed_of = |name: &str| 1 + plant.iter().position(|(other, _)| other == name).unwrap();
     for (at, (name, fault)) in plant.iter().enumerate() {
         // Most loops of a plant are calm. These faults show where a valve sticks, and a fit of that takes its time.
-        let sticks = matches!(fault, Of(Swapped | AtLimit | TooSlow | Compressed)) || name == "Healthy-0";
-        let samples = with_fault(&simulated(at + 1, sticks), *fault);
+        let sticks = matches!(fault, Of(Swapped | Misplaced | WrongSign | AtLimit | TooSlow | Compressed))
+            || name == "Healthy-0";
+        let mut samples = simulated(at + 1, sticks);
+        if let Some(other) = pv_of(name) {
+            samples = with_pv_of(samples, &simulated(seed_of(other), true));
+        }
+        let samples = with_fault(&samples, *fault);
         let (first, rest) = samples.split_at(samples.partition_point(|(at_s, _)| *at_s <= ALL_SEND_S));
-        feed(&mut engine, &overview, name, first, now);
-        feed(&mut engine, &overview, name, rest, later);
+        feed(&mut engine, &mut watch, &overview, name, first, now);
+        feed(&mut engine, &mut watch, &overview, name, rest, later);
     }
+    overview.show_misplaced(watch.compare().misplaced());
     let found = overview.obstacles(later);
     let seen: BTreeSet<(&str, String)> =
         found.obstacles.iter().map(|o| (o.loop_name.as_str(), format!("{:?}", o.kind))).collect();
@@ -130,14 +170,19 @@ fn every_fault_of_a_simulated_plant_is_found_and_nothing_else() {
     let wanted: BTreeSet<(&str, String)> =
         put_in.chain(never.iter().map(|name| (name.as_str(), "Silent".to_owned()))).collect();
     assert_eq!(seen, wanted);
-    let blocked = FAULTS.len() * OF_EACH;
-    assert_eq!((found.loops, found.judged), (LOOPS, LOOPS - blocked), "all but the compressed ones");
+    // Never-sending loops count, and compressed ones and those with a wrong sign are judged.
+    let blocked = (FAULTS.len() + 1 - 2) * OF_EACH;
+    assert_eq!((found.loops, found.judged), (LOOPS, LOOPS - blocked));
     assert!(found.obstacles.iter().all(|o| o.since_ms.is_some() && !o.words.is_empty()), "{found:#?}");
-    assert!(found.obstacles.iter().all(|o| o.blocks == (o.kind != Compressed)));
+    assert!(found.obstacles.iter().all(|o| o.blocks != matches!(o.kind, Compressed | WrongSign)));
     let remedy = |name: &str| &found.obstacles.iter().find(|o| o.loop_name == name).unwrap().remedy;
     let slow = remedy("TooSlow-0");
     assert!(slow.contains(" instead of every 10 s: 45 samples a period of "), "{slow}");
     assert!(remedy("Compressed-0").contains("deviations of OP and PV to 0"));
+    let words = |name: &str| &found.obstacles.iter().find(|o| o.loop_name == name).unwrap().words;
+    assert!(words("Misplaced-0").starts_with("OP answers the PV of Misplaced-1"), "{}", words("Misplaced-0"));
+    assert!(words("Misplaced-2").starts_with("PV is that of Healthy-0"), "{}", words("Misplaced-2"));
+    assert!(words("WrongSign-1").starts_with("OP rises with PV"), "{}", words("WrongSign-1"));
     assert!(remedy("Swapped-0").contains("exchange"));
     assert_eq!(remedy("Never-1"), "check that something publishes gw/1 and p/Never-1/pv");
 }

@@ -1,13 +1,14 @@
 //! Compares the loops of a plant on a thread of its own, at low priority, one comparison after the other.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender};
 
 use super::gaps::yield_to_all;
 use stiction::plantwide::GroupDocument;
-use stiction_monitor::engine::Comparison;
+use stiction_monitor::engine::{Comparison, Misplaced};
 
 /// What a comparison gave.
 #[derive(Debug)]
@@ -16,6 +17,8 @@ pub struct Compared {
     pub comparison: Comparison,
     /// The groups; none where the comparison failed.
     pub groups: Option<Vec<GroupDocument>>,
+    /// Loops with a signal under the wrong name or with the wrong sign.
+    pub misplaced: Vec<(Arc<str>, Misplaced)>,
     /// How long it took.
     pub took: Duration,
 }
@@ -61,5 +64,6 @@ impl Comparer {
 pub fn compare(comparison: Comparison, daemon: &str) -> Compared {
     let began = Instant::now();
     let groups = catch_unwind(AssertUnwindSafe(|| comparison.compute(Some(daemon)))).ok();
-    Compared { comparison, groups, took: began.elapsed() }
+    let misplaced = catch_unwind(AssertUnwindSafe(|| comparison.misplaced())).unwrap_or_default();
+    Compared { comparison, groups, misplaced, took: began.elapsed() }
 }

@@ -8,6 +8,7 @@ mod expected;
 mod groups;
 mod obstacles;
 mod share;
+mod signals;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -144,6 +145,7 @@ struct Entry {
     recent: VecDeque<Recent>,
     /// What limits the newest windows, and since when.
     limited: Option<obstacles::Since>,
+    signals: signals::SignalFaults,
     newest_ns: Option<i64>,
     /// When a newer stamp was seen last.
     advanced: Instant,
@@ -223,6 +225,7 @@ impl Overview {
     pub fn estimate(&self, name: &Arc<str>, place: &LoopContext, now: Instant, document: Arc<EstimateDocument>) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let earlier = loops.earlier.remove(&**name);
+        let action = loops.expected.as_ref().and_then(|expected| expected.action(name));
         loops.change(name, place, now, |entry| {
             let a = &document.assessment;
             if entry.recent.len() == RECENT {
@@ -235,6 +238,7 @@ impl Overview {
                 verdict: a.verdict,
             });
             entry.limited = obstacles::Since::after(entry.limited.or(earlier), a);
+            entry.signals.window(action, a);
             entry.estimate = Some(document);
         });
     }
@@ -377,6 +381,7 @@ impl Entry {
             driven: None,
             recent: VecDeque::new(),
             limited: None,
+            signals: signals::SignalFaults::default(),
             newest_ns: None,
             advanced: now,
             silent: false,

@@ -68,7 +68,7 @@ impl Core {
 
     /// Takes the groups that a comparison found: records and publishes them, and tells each loop.
     pub(super) fn compared(&mut self, compared: Compared) {
-        let Compared { comparison, groups, took } = compared;
+        let Compared { comparison, groups, misplaced, took } = compared;
         self.metrics.comparison.0.observe(took.as_secs_f64());
         let failed = groups.is_none();
         let groups = groups.unwrap_or_else(|| {
@@ -86,6 +86,7 @@ impl Core {
         self.publish_groups(id, &groups);
         self.tell_members(&groups);
         if let Some(overview) = &self.overview {
+            overview.show_misplaced(misplaced);
             overview.show_groups(self.clock.now(), groups.into_iter().map(Arc::new).collect());
         }
         if let Some(plant) = &mut self.plant {

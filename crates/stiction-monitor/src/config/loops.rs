@@ -2,6 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
+use serde::Serialize;
 use toml::de::DeTable;
 
 use super::alarm::read_alarm;
@@ -12,6 +13,33 @@ use crate::alarm::AlarmParams;
 use crate::engine::WindowParams;
 use stiction::record::Signal;
 use stiction::units::{LoopKind, is_loop_name};
+
+/// Action of a controller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Action {
+    /// OP falls when PV rises.
+    Reverse,
+    /// OP rises with PV.
+    Direct,
+}
+
+impl Action {
+    /// Word in configurations.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Reverse => "reverse",
+            Self::Direct => "direct",
+        }
+    }
+
+    /// Whether a controller with this gain, OP units per PV unit of SP - PV, acts the other way.
+    #[must_use]
+    pub fn contradicts(self, kc: f64) -> bool {
+        if self == Self::Reverse { kc < 0.0 } else { kc > 0.0 }
+    }
+}
 
 pub(super) fn read_loops(
     lines: &Lines,
@@ -89,12 +117,20 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         }
         found.map(LoopKind::name)
     });
+    let action = r.text("action").and_then(|(word, line)| {
+        let found = [Action::Reverse, Action::Direct].into_iter().find(|action| action.name() == word);
+        if found.is_none() {
+            r.refuse(line, "action", format!("{word:?} is not an action"), "write reverse or direct");
+        }
+        found
+    });
     let upstream = read_upstream(r, name.as_ref().map(|(name, _)| name.as_str()));
     LoopConfig {
         name: name.map(|(n, _)| n).unwrap_or_default(),
         keys,
         op_range,
         kind,
+        action,
         criticality: r.integer("criticality", 3, 1, 5) as u8,
         area: read_label(r, "area"),
         equipment: read_label(r, "equipment"),

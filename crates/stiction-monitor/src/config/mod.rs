@@ -19,6 +19,7 @@ pub use bundle::{BundleKey, NAME_MARK};
 pub use changes::{ChangedLoop, ConfigChanges};
 pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
+pub use loops::Action;
 pub use reader::Fault;
 use reader::{Lines, TableReader, subtable, syntax_fault};
 pub use scale::{Daemon, is_id};
@@ -210,6 +211,9 @@ pub struct LoopConfig {
     /// Controlled quantity, if the first letters of the name do not give it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kind: Option<&'static str>,
+    /// Action of its controller; omitted from [`Config::hash`] while not given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub action: Option<Action>,
     /// Importance of the loop, 1 to 5.
     pub criticality: u8,
     /// Plant area; empty: not given. Like the next two omitted from [`Config::hash`] while not given.

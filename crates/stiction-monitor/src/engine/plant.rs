@@ -12,6 +12,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::LoopSettings;
+use super::misplaced::{Misplaced, misplaced};
 use crate::alarm::LoopContext;
 use crate::hash::short_hash;
 use stiction::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
@@ -192,6 +193,12 @@ impl Comparison {
             group.daemon = daemon.map(str::to_owned);
         }
         groups
+    }
+
+    /// Loops with a signal under the wrong name or with the wrong sign. Depends on the windows alone.
+    #[must_use]
+    pub fn misplaced(&self) -> Vec<(Arc<str>, Misplaced)> {
+        misplaced(self.windows.iter().map(|(name, window)| (name, &*window.record)))
     }
 }
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use super::{Overview, SILENT_UNKNOWN_S};
 use stiction::record::Signal;
 use stiction_monitor::codec::topic;
-use stiction_monitor::config::{Config, LoopConfig};
+use stiction_monitor::config::{Action, Config, LoopConfig};
 
 /// A loop that the configuration names.
 #[derive(Debug, Clone, Copy)]
@@ -52,6 +52,11 @@ impl Expected {
     /// Part of the plant.
     pub fn area(&self, name: &str) -> Option<String> {
         self.entry(name).map(|entry| entry.area.clone()).filter(|area| !area.is_empty())
+    }
+
+    /// Action of a loop's controller.
+    pub fn action(&self, name: &str) -> Option<Action> {
+        self.entry(name)?.action
     }
 
     /// Least samples a period of a loop.

@@ -22,6 +22,10 @@ pub enum ObstacleKind {
     Frozen,
     /// OP and PV seem to be exchanged.
     Swapped,
+    /// PV or OP seems to be that of another loop.
+    Misplaced,
+    /// OP, PV or the valve position seems to have the wrong sign.
+    WrongSign,
     /// OP is at a limit.
     AtLimit,
     /// The controller is in manual.
@@ -37,6 +41,11 @@ pub enum ObstacleKind {
 }
 
 impl ObstacleKind {
+    /// Whether it is shown rather than signals that do not belong together.
+    const fn comes_first(self) -> bool {
+        matches!(self, Self::Frozen | Self::Swapped | Self::AtLimit | Self::Manual)
+    }
+
     /// In words, after a number of loops.
     #[must_use]
     pub const fn words(self) -> &'static str {
@@ -44,6 +53,8 @@ impl ObstacleKind {
             Self::Silent => "silent",
             Self::Frozen => "frozen",
             Self::Swapped => "swapped",
+            Self::Misplaced => "with a signal of another loop",
+            Self::WrongSign => "with a wrong sign",
             Self::AtLimit => "at a limit",
             Self::Manual => "in manual",
             Self::TooSlow => "sampled too slowly",
@@ -206,7 +217,13 @@ impl Entry {
             return Some(beginning(of(ObstacleKind::Waiting, "waiting for a window", remedy), None));
         };
         let a = &estimate.assessment;
-        let limit = limit_of(a)?;
+        let limit = limit_of(a);
+        if let Some(found) = self.signals.found().filter(|_| limit.is_none_or(|limit| !limit.kind.comes_first())) {
+            let (kind, words, remedy, since_ns) = found;
+            let found = Obstacle { blocks: kind == ObstacleKind::Misplaced, ..of(kind, &words, remedy) };
+            return Some(beginning(found, Some(since_ns)));
+        }
+        let limit = limit?;
         let words = match limit.kind {
             // The estimate's reason may be another one.
             ObstacleKind::TooSlow => words::gate(Gate::TooCoarse).to_owned(),

@@ -13,6 +13,8 @@ const KINDS = {
   silent: "silent",
   frozen: "frozen",
   swapped: "OP and PV swapped",
+  misplaced: "signal of another loop",
+  wrong_sign: "wrong sign",
   at_limit: "OP at a limit",
   manual: "in manual",
   too_slow: "sampled too slowly",
