@@ -11,6 +11,7 @@ mod hostile;
 #[path = "../common/live.rs"]
 mod live;
 mod reload;
+mod repaired;
 mod service;
 mod shards;
 mod soak;

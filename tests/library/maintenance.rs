@@ -6,7 +6,9 @@ use std::sync::Arc;
 use stiction::units::Moment;
 use stiction::verdict::{Assessment, EstimateDocument, Oscillation, Verdict, Window};
 use stiction_monitor::alarm::{Alarm, AlarmDocument, LoopContext};
-use stiction_runtime::maintenance::{Benefit, Helped, Measured, Removed, SIMULATED, Work, compare, rank, simulable};
+use stiction_runtime::maintenance::{
+    Benefit, Done, Helped, Measured, Removed, SIMULATED, Work, compare, rank, simulable,
+};
 use stiction_runtime::overview::Candidate;
 
 fn assessment(verdict: Verdict, p: f64) -> Assessment {
@@ -112,7 +114,7 @@ fn work_on_a_valve_helped_only_where_both_sides_show_it() {
         vec![Measured { stiction: Some(s.is_some()), p, s, pv_sd: Some(pv_sd) }; count]
     };
     let before = windows(5, Some(4.0), 2.0);
-    let repaired = compare(&before, &windows(4, None, 0.5), true);
+    let repaired = compare(&before, &windows(4, None, 0.5), Done::Found);
     assert_eq!(repaired.helped, Helped::Yes);
     assert!(
         repaired.words.contains("not seen since (p 0.10)") && repaired.words.contains("was 2 and is 0.5"),
@@ -121,20 +123,22 @@ fn work_on_a_valve_helped_only_where_both_sides_show_it() {
     );
     assert_eq!((repaired.before.s, repaired.after.s), (Some(4.0), None));
     assert_eq!((repaired.before.pv_sd, repaired.after.pv_sd), (Some(2.0), Some(0.5)));
-    let helped = |before: &[Measured], after: &[Measured], found| compare(before, after, found).helped;
-    assert_eq!(helped(&before, &windows(4, Some(2.0), 1.0), true), Helped::Partly);
-    assert_eq!(helped(&before, &windows(4, Some(3.9), 2.0), true), Helped::No);
-    let mixed = compare(&before, &[windows(2, Some(3.9), 2.0), windows(4, None, 0.5)].concat(), true);
+    let helped = |before: &[Measured], after: &[Measured], done| compare(before, after, done).helped;
+    assert_eq!(helped(&before, &windows(4, Some(2.0), 1.0), Done::Found), Helped::Partly);
+    assert_eq!(helped(&before, &windows(4, Some(3.9), 2.0), Done::Found), Helped::No);
+    let mixed = compare(&before, &[windows(2, Some(3.9), 2.0), windows(4, None, 0.5)].concat(), Done::Found);
     assert_eq!(mixed.helped, Helped::Partly);
     assert!(
         mixed.words.starts_with("2 of 6 windows since the review find stiction, before it 5 of 5"),
         "{}",
         mixed.words
     );
-    assert_eq!(helped(&before, &windows(2, None, 0.5), true), Helped::Unknown);
-    assert_eq!(helped(&[], &windows(4, None, 0.5), true), Helped::Unknown);
-    assert_eq!(helped(&windows(5, None, 1.0), &windows(4, None, 0.5), true), Helped::Unknown);
-    assert_eq!(helped(&before, &windows(4, None, 0.5), false), Helped::Unknown);
+    let after = compare(&before, &windows(4, None, 0.5), Done::Repaired).words;
+    assert!(after.starts_with("Stiction was seen before the repair (p 0.90) and is not seen since"), "{after}");
+    assert_eq!(helped(&before, &windows(2, None, 0.5), Done::Found), Helped::Unknown);
+    assert_eq!(helped(&[], &windows(4, None, 0.5), Done::Found), Helped::Unknown);
+    assert_eq!(helped(&windows(5, None, 1.0), &windows(4, None, 0.5), Done::Found), Helped::Unknown);
+    assert_eq!(helped(&before, &windows(4, None, 0.5), Done::Nothing), Helped::Unknown);
     // Windows without an answer count on no side.
-    assert_eq!(helped(&before, &[Measured::default(); 9], true), Helped::Unknown);
+    assert_eq!(helped(&before, &[Measured::default(); 9], Done::Found), Helped::Unknown);
 }

@@ -217,6 +217,19 @@ def test_the_gap_diagnosis_runs_from_its_button(plant, page):
     expect(gap).to_contain_text("Which")
 
 
+def test_a_repair_is_kept_with_the_time_of_the_work(plant, page):
+    page.get_by_role("button", name=f"Repaired: {LOOP}").first.click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Your name").fill("Ann")
+    dialog.get_by_label("Work done at").fill("2026-01-05T08:30")
+    dialog.get_by_label("Reason").fill("packing replaced")
+    dialog.get_by_role("button", name="Keep").click()
+    expect(dialog).to_have_count(0)
+    expect(page.get_by_role("main")).to_contain_text("Repaired on 5 Jan 2026, 08:30, says Ann.")
+    kept = [review for review in api(plant, "/reviews")["reviews"] if review["loop"] == LOOP][-1]
+    assert (kept["label"], kept["work_at"], kept["why"]) == ("repaired", "2026-01-05T08:30:00Z", "packing replaced"), kept
+
+
 def test_a_review_is_kept_and_evaluate_takes_it(plant, page):
     page.get_by_role("button", name=re.compile(rf"^(Confirm|Confirm by stroke test).*: {LOOP}")).first.click()
     dialog = page.get_by_role("dialog")

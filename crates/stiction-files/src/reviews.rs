@@ -47,6 +47,8 @@ pub enum Label {
     Stiction,
     /// It does not.
     NoStiction,
+    /// It was repaired.
+    Repaired,
 }
 
 /// How it was found out.
@@ -90,6 +92,10 @@ pub struct Review {
     pub p_stiction: Option<f64>,
     /// The size that it had found, OP units.
     pub s: Option<f64>,
+    /// When the valve was repaired, by the clock of its data. Indexes of earlier versions lack the column.
+    #[serde(default)]
+    #[schemars(with = "Option<String>")]
+    pub work_at: Option<Moment>,
 }
 
 /// Whether a spreadsheet takes a cell for a formula, apostrophes before it left out.
@@ -175,11 +181,29 @@ impl Reviews {
             fs::write(self.dir.join(&review.file), table_bytes)?;
         }
         let index = self.index();
+        self.add_columns()?;
         let line = lines_of([review.clone()], !index.exists())?;
         let mut file = OpenOptions::new().create(true).append(true).open(index)?;
         file.write_all(&line)?;
         file.sync_all()?;
         Ok(review)
+    }
+
+    /// Writes an index anew that lacks columns of this version. One that cannot be read is left as it is.
+    fn add_columns(&self) -> io::Result<()> {
+        let Ok(reader) = csv::Reader::from_path(self.index()) else { return Ok(()) };
+        let mut reader = reader;
+        let is_old = reader.headers().is_ok_and(|head| !head.iter().any(|name| name == "work_at"));
+        match self.all() {
+            Ok(all) if is_old => self.write_all(all),
+            _ => Ok(()),
+        }
+    }
+
+    fn write_all(&self, all: Vec<Review>) -> io::Result<()> {
+        let part = self.dir.join(format!("{INDEX}.part"));
+        fs::write(&part, lines_of(all, true)?)?;
+        fs::rename(part, self.index())
     }
 
     /// Removes what is older than so many days; gives how many reviews stay.
@@ -192,9 +216,7 @@ impl Reviews {
         }
         let number = kept.len();
         let named: HashSet<String> = kept.iter().map(|review| review.file.clone()).collect();
-        let part = self.dir.join(format!("{INDEX}.part"));
-        fs::write(&part, lines_of(kept, true)?)?;
-        fs::rename(part, self.index())?;
+        self.write_all(kept)?;
         for file in old.iter().map(|review| &review.file).filter(|file| !file.is_empty() && !named.contains(*file)) {
             // One that somebody removed before is gone too.
             let _ = fs::remove_file(self.dir.join(file));
@@ -265,6 +287,7 @@ mod tests {
             verdict: "stiction".into(),
             p_stiction: Some(0.8),
             s: None,
+            work_at: None,
         }
     }
 
@@ -314,6 +337,21 @@ mod tests {
         assert_eq!(reviews.all().unwrap(), [third, newest]);
         let is_there = |review: &Review| folder.path().join(FOLDER).join(&review.file).is_file();
         assert!(!is_there(&first) && is_there(&second));
+    }
+
+    #[test]
+    fn an_index_without_the_date_of_the_work_takes_reviews_with_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let reviews = Reviews::below(folder.path());
+        let first = reviews.keep(review("A", Some("old, \"quoted\"")), &samples(), 0.0).unwrap();
+        let text = fs::read_to_string(reviews.index()).unwrap();
+        let cut: Vec<&str> = text.lines().map(|line| line.rsplit_once(',').unwrap().0).collect();
+        assert!(text.starts_with("file,label,") && cut[0].ends_with(",s"), "{text}");
+        fs::write(reviews.index(), cut.join("\n") + "\n").unwrap();
+        assert_eq!(reviews.all().unwrap(), [first.clone()]);
+        let repaired = Review { label: Label::Repaired, work_at: Some(Moment(5_000_000_000)), ..review("A", None) };
+        let second = reviews.keep(repaired, &samples(), 0.0).unwrap();
+        assert_eq!(reviews.all().unwrap(), [first, second]);
     }
 
     #[test]

@@ -13,7 +13,7 @@ use stiction::verdict::{Assessment, words};
 use stiction_monitor::alarm::Priority;
 
 use super::overview::Candidate;
-pub use outcome::{Helped, Measured, Outcome, Side, compare};
+pub use outcome::{Done, Helped, Measured, Outcome, Side, compare};
 
 /// Loops at the top of the list whose repair is simulated.
 pub const SIMULATED: usize = 30;

@@ -88,11 +88,29 @@ impl Side {
     }
 }
 
-/// Compares the windows before a date with those after it. `found_sticking` is what the person found at the valve.
+/// What was done at the date that divides the windows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Done {
+    /// The valve was found to stick.
+    Found,
+    /// It was found not to stick.
+    Nothing,
+    /// It was repaired.
+    Repaired,
+}
+
+impl Done {
+    /// Name of the date.
+    const fn name(self) -> &'static str {
+        if matches!(self, Self::Repaired) { "repair" } else { "review" }
+    }
+}
+
+/// Compares the windows before a date with those after it.
 #[must_use]
-pub fn compare(before: &[Measured], after: &[Measured], found_sticking: bool) -> Outcome {
+pub fn compare(before: &[Measured], after: &[Measured], done: Done) -> Outcome {
     let (before, after) = (Side::of(before), Side::of(after));
-    let (helped, claim) = judge(&before, &after, found_sticking);
+    let (helped, claim) = judge(&before, &after, done);
     let spread = before.pv_sd.zip(after.pv_sd).filter(|_| helped != Helped::Unknown);
     let spread = spread.map_or_else(String::new, |(from, to)| {
         format!("; the standard deviation of PV was {} and is {}", number(from), number(to))
@@ -100,41 +118,42 @@ pub fn compare(before: &[Measured], after: &[Measured], found_sticking: bool) ->
     Outcome { before, after, helped, words: format!("{claim}{spread}.") }
 }
 
-fn judge(before: &Side, after: &Side, found_sticking: bool) -> (Helped, String) {
-    if !found_sticking {
+fn judge(before: &Side, after: &Side, done: Done) -> (Helped, String) {
+    let date = done.name();
+    if done == Done::Nothing {
         return (Helped::Unknown, "The valve was found not to stick, so there is no repair to judge".to_owned());
     }
     for (side, name) in [(before, "before"), (after, "after")] {
         if side.windows < LEAST {
-            let why = format!("Too few windows {name} the review gave an answer ({} of {LEAST})", side.windows);
+            let why = format!("Too few windows {name} the {date} gave an answer ({} of {LEAST})", side.windows);
             return (Helped::Unknown, why);
         }
     }
     if !before.sticks() {
-        let why = "Most windows before the review find no stiction, so they cannot show a repair";
-        return (Helped::Unknown, why.to_owned());
+        let why = format!("Most windows before the {date} find no stiction, so they cannot show whether it helped");
+        return (Helped::Unknown, why);
     }
     if after.sticking == 0 {
         let p = |side: &Side| side.p.map_or_else(|| "unknown".to_owned(), probability);
         let (then, now) = (p(before), p(after));
         return (
             Helped::Yes,
-            format!("Stiction was seen before the review (p {then}) and is not seen since (p {now})"),
+            format!("Stiction was seen before the {date} (p {then}) and is not seen since (p {now})"),
         );
     }
     if !after.sticks() {
         let share = |side: &Side| format!("{} of {}", side.sticking, side.windows);
         let (then, now) = (share(before), share(after));
-        return (Helped::Partly, format!("{now} windows since the review find stiction, before it {then}"));
+        return (Helped::Partly, format!("{now} windows since the {date} find stiction, before it {then}"));
     }
     match before.s.zip(after.s) {
         Some((from, to)) if to < SMALLER * from => {
             let (from, to) = (number(from), number(to));
-            (Helped::Partly, format!("The valve still sticks; s fell from {from} to {to} OP units since the review"))
+            (Helped::Partly, format!("The valve still sticks; s fell from {from} to {to} OP units since the {date}"))
         }
         Some((from, to)) => {
             let (from, to) = (number(from), number(to));
-            (Helped::No, format!("The valve still sticks, with s {from} OP units before the review and {to} since"))
+            (Helped::No, format!("The valve still sticks, with s {from} OP units before the {date} and {to} since"))
         }
         None => (Helped::No, "The valve still sticks".to_owned()),
     }

@@ -46,6 +46,10 @@ struct Reviewed {
     at_ms: f64,
     #[serde(skip)]
     at: Moment,
+    /// When the valve was repaired, ms since 1970; null where it was not.
+    work_at_ms: Option<f64>,
+    #[serde(skip)]
+    work_at: Option<Moment>,
     /// Who wrote it.
     by: String,
     /// What was found.
@@ -112,11 +116,26 @@ async fn maintenance(
     let reviewed = reviews.into_iter().zip(outcomes).map(|(review, compared)| {
         let row = live.overview.row(&review.r#loop, now);
         let (area, equipment) = row.map(|row| (row.area, row.equipment)).unwrap_or_default();
-        let Review { r#loop: loop_name, at, by, label, method, why: note, .. } = review;
+        let Review { r#loop: loop_name, at, by, label, method, why: note, work_at, .. } = review;
         let complete = compared.as_ref().is_none_or(|c| c.complete);
         let outcome = compared.map(|c| c.outcome);
         let at_ms = ms_from_ns(at.0);
-        Reviewed { loop_name, area, equipment, at_ms, at, by, label, method, note, outcome, complete }
+        let work_at_ms = work_at.map(|at| ms_from_ns(at.0));
+        Reviewed {
+            loop_name,
+            area,
+            equipment,
+            at_ms,
+            at,
+            work_at_ms,
+            work_at,
+            by,
+            label,
+            method,
+            note,
+            outcome,
+            complete,
+        }
     });
     let answer = Maintenance { work, reviewed: reviewed.collect(), pending };
     if !as_table {
@@ -127,7 +146,7 @@ async fn maintenance(
     Ok((headers, table(&answer).map_err(failed)?).into_response())
 }
 
-const COLUMNS: [&str; 26] = [
+const COLUMNS: [&str; 27] = [
     "rank",
     "loop",
     "area",
@@ -154,6 +173,7 @@ const COLUMNS: [&str; 26] = [
     "pv_sd_before",
     "pv_sd_after",
     "outcome",
+    "work_at",
 ];
 
 fn figure(value: Option<f64>) -> String {
@@ -200,7 +220,8 @@ fn cells_of_review(r: &Reviewed) -> Vec<String> {
     let [before, after] = [outcome.map(|o| o.before), outcome.map(|o| o.after)].map(Option::unwrap_or_default);
     let figures = [before.p, after.p, before.s, after.s, before.pv_sd, after.pv_sd].map(figure);
     let words = outcome.map_or_else(String::new, |o| o.words.clone());
-    [format_rfc3339(r.at.0)].into_iter().chain(figures).chain([words]).collect()
+    let work_at = r.work_at.map_or_else(String::new, |at| format_rfc3339(at.0));
+    [format_rfc3339(r.at.0)].into_iter().chain(figures).chain([words, work_at]).collect()
 }
 
 /// One line a loop: those to work on by rank, then those that are only reviewed. No cell is a formula.
@@ -224,7 +245,7 @@ mod tests {
     use super::*;
     use std::collections::BTreeMap;
     use stiction_monitor::alarm::LoopContext;
-    use stiction_runtime::maintenance::{compare, rank};
+    use stiction_runtime::maintenance::{Done, compare, rank};
     use stiction_runtime::overview::Candidate;
 
     const FORMULA: &str = "=HYPERLINK(\"http://x\")";
@@ -236,11 +257,13 @@ mod tests {
             equipment: None,
             at_ms: 0.0,
             at: Moment(0),
+            work_at_ms: None,
+            work_at: None,
             by: "ann".to_owned(),
             label: Label::Stiction,
             method: Method::Inspection,
             note: None,
-            outcome: Some(compare(&[], &[], true)),
+            outcome: Some(compare(&[], &[], Done::Found)),
             complete: true,
         }
     }
@@ -282,6 +305,7 @@ mod tests {
             verdict: "stiction".to_owned(),
             p_stiction: None,
             s: None,
+            work_at: None,
         };
         let newest = newest_reviews(vec![review("A", 1), review("B", 2), review("A", 3)]);
         assert_eq!(newest.iter().map(|r| (r.r#loop.as_str(), r.at.0)).collect::<Vec<_>>(), [("A", 3), ("B", 2)]);

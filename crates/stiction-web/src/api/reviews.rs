@@ -39,6 +39,8 @@ pub(super) struct DatedReview {
     at_ms: f64,
     /// End of the window that was judged, ms since 1970.
     window_end_ms: f64,
+    /// When the valve was repaired, ms since 1970; null where it was not.
+    work_at_ms: Option<f64>,
 }
 
 /// The review that was kept.
@@ -59,6 +61,23 @@ struct NewReview {
     by: String,
     /// In that person's words.
     why: Option<String>,
+    /// When the valve was repaired, RFC 3339, by the clock of its data; needed for `repaired`, and for nothing else.
+    #[schemars(with = "Option<String>")]
+    work_at: Option<Moment>,
+}
+
+impl NewReview {
+    /// Refuses a date where there was no work, none where there was, and one that is still to come.
+    fn check_date(&self, newest_ns: i64) -> Result<(), ApiError> {
+        match self.work_at {
+            None if self.label == Label::Repaired => {
+                Err(ApiError::unfit("work_at is missing: give the date of the work"))
+            }
+            Some(_) if self.label != Label::Repaired => Err(ApiError::unfit("work_at is for label \"repaired\" only")),
+            Some(at) if at.0 > newest_ns.max(now_ns()) => Err(ApiError::unfit("work_at is still to come")),
+            _ => Ok(()),
+        }
+    }
 }
 
 pub(super) fn operations() -> Vec<Operation<Shared>> {
@@ -95,7 +114,8 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 
 impl From<Review> for DatedReview {
     fn from(review: Review) -> Self {
-        Self { at_ms: ms_from_ns(review.at.0), window_end_ms: ms_from_ns(review.window_end.0), review }
+        let ms = |at: Moment| ms_from_ns(at.0);
+        Self { at_ms: ms(review.at), window_end_ms: ms(review.window_end), work_at_ms: review.work_at.map(ms), review }
     }
 }
 
@@ -109,13 +129,14 @@ pub(super) fn last_of_loops(live: &Shared) -> std::collections::HashMap<String, 
 async fn keep(
     State(live): State<Shared>,
     PathName(name): PathName,
-    JsonBody(NewReview { label, method, by, why }): JsonBody<NewReview>,
+    JsonBody(new): JsonBody<NewReview>,
 ) -> Answered<Kept> {
     if !live.takes_commands() {
         let why = "reviews are commands, and these are switched off: [commands] enabled = false";
         return Err(ApiError::new(StatusCode::FORBIDDEN, why));
     }
-    check_name(Some(&by)).map_err(|e| ApiError::unfit(e.to_string()))?;
+    let NewReview { label, method, by, why, work_at } = &new;
+    check_name(Some(by)).map_err(|e| ApiError::unfit(e.to_string()))?;
     if why.as_ref().is_some_and(|why| why.len() > MAX_WHY) {
         return Err(ApiError::unfit(format!("why is longer than {MAX_WHY} bytes; shorten it")));
     }
@@ -123,6 +144,7 @@ async fn keep(
     let none =
         || ApiError::not_found(format!("{name}: no window has been answered yet, so there is nothing to review"));
     let estimate = newest.ok_or_else(none)?;
+    new.check_date(estimate.assessment.window.end_ns)?;
     if !live.allow_review() {
         let why = format!("more than {PER_MINUTE} reviews a minute: try again later");
         return Err(ApiError::new(StatusCode::TOO_MANY_REQUESTS, why));
@@ -130,16 +152,17 @@ async fn keep(
     let a = &estimate.assessment;
     let review = Review {
         file: String::new(),
-        label,
+        label: *label,
         r#loop: name.clone(),
-        method,
-        by,
-        why: why.filter(|why| !why.trim().is_empty()),
+        method: *method,
+        by: by.clone(),
+        why: why.clone().filter(|why| !why.trim().is_empty()),
         at: Moment(now_ns()),
         window_end: Moment(a.window.end_ns),
         verdict: a.verdict.name().to_owned(),
         p_stiction: a.p_stiction,
         s: a.s,
+        work_at: *work_at,
     };
     let range = [a.window.start_ns, a.window.end_ns];
     let (of_live, keep_days) = (live.clone(), live.config.get().retention.results_days);

@@ -18,7 +18,7 @@ use stiction::units::ns_from_s;
 use stiction_files::archive::Reach;
 use stiction_files::reviews::{Label, Review};
 use stiction_monitor::analysis::{Points, Section};
-use stiction_runtime::maintenance::{self, Benefit, Measured, Outcome, Removed, SIMULATED, Work};
+use stiction_runtime::maintenance::{self, Benefit, Done, Measured, Outcome, Removed, SIMULATED, Work};
 use stiction_runtime::overview::Candidate;
 
 /// Reviewed loops that are compared: those with the newest reviews.
@@ -85,7 +85,9 @@ pub(super) fn look(live: &Shared, reviews: &[Review]) -> (Vec<Work>, Vec<Option<
     let work = maintenance::rank(&candidates, &benefits);
     let mut tasks = repairs(&candidates, &work, &known);
     tasks.extend(reviews.iter().filter_map(|review| comparison(live, review, &known)));
-    let outcomes = reviews.iter().map(|review| known.outcomes.get(&review.r#loop).cloned()).collect();
+    // What was compared for an earlier review of the loop says nothing of a newer one.
+    let of = |review: &Review| known.outcomes.get(&review.r#loop).filter(|c| c.at_ns == review.at.0).cloned();
+    let outcomes = reviews.iter().map(of).collect();
     drop(known);
     let pending = tasks.len();
     begin(live, tasks);
@@ -158,9 +160,10 @@ fn sides(all: &[WindowResult], date_ns: i64) -> [Vec<&WindowResult>; 2] {
     [last(&|w| w.end_ns <= date_ns), last(&|w| w.start_ns >= date_ns)]
 }
 
-/// Compares around the window that was reviewed: the data's clock may differ from that of whoever wrote the review.
+/// Compares around the date of the work, or else around the window that was reviewed: the data's clock may differ from that
+/// of whoever wrote the review.
 fn compared(live: &Shared, review: &Review, newest_ns: i64) -> Compared {
-    let (date_ns, stretch_ns) = (review.window_end.0, ns_from_s(STRETCH_S));
+    let (date_ns, stretch_ns) = (review.work_at.unwrap_or(review.window_end).0, ns_from_s(STRETCH_S));
     let range_ns = [date_ns.saturating_sub(stretch_ns), date_ns.saturating_add(stretch_ns)];
     let (all, mut reach) = windows(live, &review.r#loop, range_ns);
     let all: Vec<WindowResult> = all.into_iter().map(|w| w.result).collect();
@@ -171,8 +174,17 @@ fn compared(live: &Shared, review: &Review, newest_ns: i64) -> Compared {
         }
         found
     });
-    let outcome = maintenance::compare(&before, &after, review.label == Label::Stiction);
+    let outcome = maintenance::compare(&before, &after, done(review.label));
     Compared { at_ns: review.at.0, newest_ns, outcome, complete: reach == Reach::All }
+}
+
+/// What the date of a review with this label is.
+const fn done(label: Label) -> Done {
+    match label {
+        Label::Stiction => Done::Found,
+        Label::NoStiction => Done::Nothing,
+        Label::Repaired => Done::Repaired,
+    }
 }
 
 /// Windows with the standard deviation of their recorded PV.

@@ -3,6 +3,7 @@
 import * as api from "./api.js";
 import { h } from "./dom.js";
 import { ask } from "./dialog.js";
+import * as format from "./format.js";
 import { store } from "./store.js";
 
 const NAME = "stictiond.name";
@@ -54,20 +55,35 @@ export async function command(loop, cmd) {
 const REVIEWS = {
   stiction: { title: "The valve sticks", intro: "The finding is stored with this window and can be used to check the program.", methods: [["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
   no_stiction: { title: "The valve does not stick", intro: "The finding is stored with this window and can be used to check the program.", methods: [["false_alarm", "false alarm, by judgement"], ["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
+  repaired: { title: "The valve was repaired", intro: "Maintenance compares the windows before and after this time.", methods: [["other", "repair"], ["stroke_test", "repair, checked by a stroke test"], ["inspection", "repair, checked by inspection"]], dated: true },
 };
+
+const EXAMPLES = {
+  stiction: "What was seen, for example: stem moved only after 6 %.",
+  no_stiction: "What was seen, for example: stem followed steps of 0.5 %.",
+  repaired: "What was done, for example: packing replaced.",
+};
+
+/** What a review says, in words. */
+export function said(review) {
+  if (review.label === "repaired") return `Repaired on ${format.dateTime(review.work_at_ms)}, says`;
+  return review.label === "stiction" ? "Confirmed by" : "Marked as false by";
+}
 
 /** Asks how it was found out, and keeps what was found; resolves to the review, or null. */
 export async function review(loop, label) {
-  const { title, intro, methods } = REVIEWS[label];
+  const { title, intro, methods, dated } = REVIEWS[label];
+  const when = { name: "work_at", label: `Work done at, ${format.zoneName(Date.now())}`, type: "datetime-local", required: true, value: format.field(Date.now()) };
   let answer = null;
   await ask({
     title: `${title}: ${loop}`,
     intro,
-    fields: [name(), { name: "method", label: "How it was found", type: "select", value: methods[0][0], options: methods.map(([value, words]) => ({ value, label: words })) }, why("What was seen, for example: stem moved only after 6 %.")],
+    fields: [name(), ...(dated ? [when] : []), { name: "method", label: dated ? "What was done" : "How it was found", type: "select", value: methods[0][0], options: methods.map(([value, words]) => ({ value, label: words })) }, why(EXAMPLES[label])],
     submit: "Keep",
     onSubmit: async (values) => {
       localStorage.setItem(NAME, values.by.trim());
-      answer = await api.post(api.loopPath(loop, "/review"), { label, method: values.method, by: values.by.trim(), why: values.why?.trim() || undefined });
+      const work_at = dated ? new Date(format.ofField(values.work_at)).toISOString() : undefined;
+      answer = await api.post(api.loopPath(loop, "/review"), { label, method: values.method, by: values.by.trim(), why: values.why?.trim() || undefined, work_at });
     },
   });
   return answer?.review ?? null;
@@ -99,7 +115,7 @@ export function buttons(alarm, { done, sticks = true, window = true }) {
     if (answer) done(null, answer);
   };
   const one = (label, onclick, kind) => h("button", { class: `button ${kind}`, type: "button", onclick, "aria-label": `${label.replace(" …", "")}: ${alarm.loop}` }, label);
-  const words = sticks ? { stiction: "Confirm …", no_stiction: "Mark as false …" } : { stiction: "It sticks …", no_stiction: "It moves freely …" };
+  const words = sticks ? { stiction: "Confirm …", no_stiction: "Mark as false …", repaired: "Repaired …" } : { stiction: "It sticks …", no_stiction: "It moves freely …", repaired: "Repaired …" };
   const judged = Object.entries(words).map(([label, text]) => one(text, judge(label), ""));
   return h("div", { class: "row buttons" }, list.map((cmd) => one(COMMANDS[cmd].label, act(cmd), cmd === "ack" ? "primary" : "")), window ? judged : null);
 }

@@ -1,7 +1,7 @@
 // Alarm list: ISA-18.2 states, who did what and until when, acknowledge, shelve, confirm, mark as false.
 
 import * as api from "./api.js";
-import { buttons } from "./actions.js";
+import { buttons, said } from "./actions.js";
 import { fill, h, loading, prose } from "./dom.js";
 import * as format from "./format.js";
 import { on } from "./store.js";
@@ -32,8 +32,7 @@ function held(alarm) {
 
 function reviewed(review) {
   if (!review) return null;
-  const words = review.label === "stiction" ? "confirmed" : "marked as false";
-  return h("li", null, `${words} by ${review.by}, ${METHODS[review.method] ?? review.method}, ${format.recent(review.at_ms)}`, review.why ? h("q", null, review.why) : null);
+  return h("li", null, `${said(review).replace(/^./, (c) => c.toLowerCase())} ${review.by}, ${METHODS[review.method] ?? review.method}, ${format.recent(review.at_ms)}`, review.why ? h("q", null, review.why) : null);
 }
 
 function entry(alarm, done) {

@@ -116,6 +116,18 @@ export function recent(ms, now = Date.now()) {
 /** 12:03:10 today, else 6 Jan, 12:03:10. */
 export const stamp = (ms) => (day(ms) === day(Date.now()) ? time(ms) : `${shortDay(ms)}, ${time(ms)}`);
 
+/** A time as a field for date and time has it, in the plant's zone: 2026-01-06T12:03. */
+export const field = (ms) => new Intl.DateTimeFormat("sv-SE", { timeZone: zone, dateStyle: "short", timeStyle: "short" }).format(ms).replace(" ", "T");
+
+/** The time of such a field, ms since 1970. */
+export function ofField(text) {
+  const wanted = Date.parse(`${text}Z`);
+  let ms = wanted;
+  // The second round is for an offset that changes in between.
+  for (let round = 0; round < 2; round += 1) ms += wanted - Date.parse(`${field(ms)}Z`);
+  return ms;
+}
+
 /** Name of the zone, shown next to a clock: "CET", "UTC". */
 export function zoneName(ms) {
   const parts = shape("zone", { timeZoneName: "short" }).formatToParts(ms);

@@ -1,5 +1,6 @@
 // Every change of a loop's alarm, newest first.
 
+import { said } from "./actions.js";
 import * as api from "./api.js";
 import { fill, h, loading } from "./dom.js";
 import * as format from "./format.js";
@@ -14,7 +15,7 @@ export function alarms(root, loop) {
     h("td", { class: "number" }, a.s === null || a.s === undefined ? "–" : format.estimate(a.s, a.s_interval, a.unit)),
     h("td", { class: "number" }, format.probability(a.p)),
     h("td", null, a.by ?? "the program"), h("td", null, a.detail ?? (a.event === "raised" ? a.why : "") ?? ""));
-  const reviewed = (r) => h("li", null, h("b", null, r.label === "stiction" ? "Confirmed" : "Marked as false"), ` by ${r.by} on ${format.dateTime(r.at_ms)} (${METHODS[r.method] ?? r.method}), window to ${format.dateTime(r.window_end_ms)}`, r.why ? [": ", h("q", null, r.why)] : null);
+  const reviewed = (r) => h("li", null, h("b", null, said(r)), ` ${r.by} on ${format.dateTime(r.at_ms)} (${METHODS[r.method] ?? r.method}), window to ${format.dateTime(r.window_end_ms)}`, r.why ? [": ", h("q", null, r.why)] : null);
   const load = async () => {
     const [answer, kept] = await Promise.all([api.get(loop.path("/alarms")), api.get("/reviews").catch(() => ({ reviews: [] }))]);
     return { ...answer, reviews: kept.reviews.filter((r) => r.loop === loop.name) };

@@ -1,7 +1,7 @@
 // The top of a loop's page: verdict, how sure, what to do, the main numbers, what can be done and saved.
 
 import * as api from "./api.js";
-import { buttons } from "./actions.js";
+import { buttons, said } from "./actions.js";
 import { fill, h, prose } from "./dom.js";
 import * as format from "./format.js";
 import { store } from "./store.js";
@@ -76,7 +76,7 @@ export function head(root, loop) {
     lead(words, row),
     row.gates?.length ? h("p", { class: "warning" }, "Limits of this window: ", row.gates.map(plain).join(", "), ".") : null,
     todo(words, alarm),
-    loop.review ? h("p", { class: "note" }, `${loop.review.label === "stiction" ? "Confirmed" : "Marked as false"} by ${loop.review.by}.`) : null,
+    loop.review ? h("p", { class: "note" }, `${said(loop.review)} ${loop.review.by}.`) : null,
     facts(row, estimate),
     h("div", { class: "loop-acts" }, buttons(alarm ?? { loop: loop.name, state: "normal" }, { done, sticks: estimate?.stiction ?? null, window: Boolean(estimate) }), estimate ? downloads(loop) : null));
   if (focus) root.querySelector(`[aria-label="${CSS.escape(focus)}"]`)?.focus();

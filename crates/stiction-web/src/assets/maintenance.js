@@ -37,9 +37,9 @@ const both = (outcome, key, show) => figureCell(outcome ? [`${show(outcome.befor
 
 function reviewedRow(review) {
   const { outcome } = review;
-  const how = [METHODS[review.method] ?? review.method, review.by].filter(Boolean).join(", ");
+  const how = [review.label === "repaired" ? "repaired" : METHODS[review.method] ?? review.method, review.by].filter(Boolean).join(", ");
   return h("tr", { "data-loop": review.loop }, h("th", { scope: "row" }, link(review.loop)),
-    h("td", null, format.day(review.at_ms), h("small", { class: "soft under-words" }, how)),
+    h("td", null, format.day(review.work_at_ms ?? review.at_ms), h("small", { class: "soft under-words" }, how)),
     both(outcome, "p", format.probability), both(outcome, "s", format.number), both(outcome, "pv_sd", format.number),
     h("td", null, outcome ? format.sentence(outcome.words) : "Being compared.", review.complete ? null : " Not all recordings could be read."));
 }
@@ -47,9 +47,9 @@ function reviewedRow(review) {
 function reviewedTable(reviewed) {
   const column = (words, props) => h("th", { scope: "col", ...props }, words);
   const number = { class: "number" };
-  return [h("h2", null, "Before and after a review"),
-    h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Before and after a review, table" }, h("table", { class: "table reviewed" },
-      h("thead", null, h("tr", null, column("loop"), column("review"), column("probability", number), column("s, OP units", number), column("standard deviation of PV", number), column("since then"))),
+  return [h("h2", null, "Before and after a repair or review"),
+    h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Before and after a repair or review, table" }, h("table", { class: "table reviewed" },
+      h("thead", null, h("tr", null, column("loop"), column("date"), column("probability", number), column("s, OP units", number), column("standard deviation of PV", number), column("since then"))),
       h("tbody", null, reviewed.map(reviewedRow))))];
 }
 
