@@ -259,12 +259,7 @@ fn one_file(args: &Args, unit: &Unit, desk: &mut OutputWriter) -> anyhow::Result
     let config = config_of(&unit.paths)?;
     let place = unit.name();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
-    if chosen.iter().all(|l| usable(&l.samples) < MIN_SAMPLES) {
-        let most = chosen.iter().map(|l| usable(&l.samples)).max().unwrap_or(0);
-        bail!(
-            "{place}: {most} usable samples at most, {MIN_SAMPLES} with both OP and PV are needed in at least one loop"
-        );
-    }
+    check_samples(&place, &chosen)?;
     let hash = config.hash();
     let work = |one: &&LoadedLoop, bar: &ProgressBar| of_loop(args, one, &config, &hash, bar);
     let alone = chosen.len() == 1;
@@ -289,6 +284,17 @@ fn one_file(args: &Args, unit: &Unit, desk: &mut OutputWriter) -> anyhow::Result
         bail!("{place}: no loop could be analysed");
     }
     Ok(loaded.data_loss)
+}
+
+/// Refuses loops of which none has enough samples.
+fn check_samples(place: &str, loops: &[&LoadedLoop]) -> anyhow::Result<()> {
+    let most = loops.iter().map(|l| usable(&l.samples)).max().unwrap_or(0);
+    if most < MIN_SAMPLES {
+        bail!(
+            "{place}: {most} usable samples at most, {MIN_SAMPLES} with both OP and PV are needed in at least one loop"
+        );
+    }
+    Ok(())
 }
 
 /// What one of several files gave.
@@ -347,6 +353,9 @@ fn of_file(args: &Args, unit: &Unit, bar: &ProgressBar) -> anyhow::Result<OfFile
         Some(_) => args.selection.loops(&loaded.loops).unwrap_or_default(),
         None => loaded.loops.iter().collect(),
     };
+    if !chosen.is_empty() {
+        check_samples(&unit.name(), &chosen)?;
+    }
     let answers = chosen.into_iter().flat_map(|one| of_loop(args, one, &config, &hash, bar));
     Ok(OfFile {
         name: unit.name(),

@@ -1,6 +1,6 @@
 //! Many loops at once: each by its line in one table, instead of a page of text.
 
-use stiction::units::{duration, format_rfc3339, optional as number, probability};
+use stiction::units::{duration, format_rfc3339, is_date, optional as number, probability, s_from_ns};
 use stiction::verdict::{Assessment, Verdict, words};
 use stiction_monitor::analysis::Answer;
 
@@ -40,6 +40,11 @@ fn size(a: &Assessment) -> String {
     }
 }
 
+/// The end of a window: a date, or the time since the start on a clock of the record's own.
+fn end(ns: i64) -> String {
+    if is_date(ns) { format_rfc3339(ns) } else { duration(s_from_ns(ns)) }
+}
+
 impl Summary {
     /// Takes one answer.
     pub(super) fn add(&mut self, answer: &Answer) {
@@ -54,7 +59,7 @@ impl Summary {
             period_s: a.oscillation.period_s,
             grade: a.grade.map_or_else(|| "-".to_owned(), |g| g.to_string()),
             gates: a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(" "),
-            end: format_rfc3339(a.window.end_ns),
+            end: end(a.window.end_ns),
         });
     }
 
@@ -66,7 +71,7 @@ impl Summary {
     /// The table: most likely sticking first.
     pub(super) fn table(&mut self) -> String {
         self.rows.sort_by(|a, b| b.p.unwrap_or(-1.0).total_cmp(&a.p.unwrap_or(-1.0)));
-        let width = self.rows.iter().map(|r| r.name.chars().count()).max().unwrap_or(4).clamp(4, 40);
+        let width = self.rows.iter().map(|r| r.name.chars().count()).max().unwrap_or(4).clamp(4, 64);
         let head = ("loop", "verdict", "p", "s", "s 90 %", "period", "grade", "until");
         let (name, verdict, p, s, range, period, grade, end) = head;
         let mut lines = vec![format!(

@@ -162,6 +162,12 @@ def test_what_a_run_analyses_is_seen_before_it_and_help_explains_every_field(ben
         expect(plots.get_by_role("application")).to_have_count(charts)
         # Next to the time's, every chart has an axis on the left, and one on the right where there are two.
         expect(plots.locator(".u-axis")).to_have_count(2 * charts + right)
+    # The choice of axes is a step like any other.
+    page.get_by_role("button", name="↶ Undo").click()
+    expect(trend.get_by_role("button", name="One axis")).to_have_attribute("aria-pressed", "true")
+    expect(plots.get_by_role("application")).to_have_count(1)
+    page.get_by_role("button", name="↷ Redo").click()
+    expect(plots.get_by_role("application")).to_have_count(2)
     page.keyboard.press("?")
     help = page.get_by_role("dialog", name="Help")
     explained = help.inner_text()

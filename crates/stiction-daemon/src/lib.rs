@@ -288,6 +288,7 @@ pub async fn run(
     let mine = (prefix.as_str(), daemon_id.as_str(), config.shard);
     let foreign = presence::watch_own_keys(&session, mine, &faults, &metrics).await?;
     let bus = source::zenoh::session_config(&config)?;
+    let listening: &[String] = if deaf.is_some() { &[] } else { &config.zenoh.listen };
     if let Some(why) = deaf {
         let why = presence::listener_problem(&config.zenoh.listen, &why);
         faults.raise(presence::LISTENING, format!("cannot open the Zenoh listener: {why}; retrying"));
@@ -300,7 +301,7 @@ pub async fn run(
     tracing::info!(
         prefix,
         daemon = daemon_id,
-        listen = ?config.zenoh.listen,
+        listen = ?listening,
         connect = ?config.zenoh.connect,
         web = server.address.map(|a| a.to_string()),
         recordings = %recordings.display(),

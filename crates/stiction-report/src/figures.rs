@@ -306,7 +306,7 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
         .map(|(place, word)| (place.map(|v| v * span), word))
         .to_vec(),
     })?;
-    let mark = if chosen { " This order was chosen." } else { "" };
+    let mark = if chosen { " This estimate has this order." } else { "" };
     let caption = format!(
         "Free-run error over the bands, order {}: each cell with its best process. Below the line fs + fd = S0 = {}. \
          Least cell: fs {}, fd {}. Box, the suggested region: fs {} to {}, fd {} to {}. It holds the cells within a \
@@ -386,8 +386,8 @@ fn orders(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
     let chosen = of.assessment.process.as_ref().map_or(0, |p| p.order);
     let caption = format!(
         "Errors on the whole record, and on its last {:.0} % with the process fitted to the first {:.0} %. With --model \
-         auto the second order is kept if it removes {:.0} % of the held-out squared error: {gained}. Chosen: order \
-         {chosen}.",
+         auto the second order is kept if it removes {:.0} % of the held-out squared error: {gained}. This \
+         estimate has order {chosen}.",
         100.0 * (1.0 - chart.fitted_share),
         100.0 * chart.fitted_share,
         100.0 * chart.must_remove,

@@ -6,6 +6,8 @@ import { on, store } from "./store.js";
 
 /** Difference of clocks that is worth a word, s. */
 const OFF_S = 60;
+/** Age from which data that keep coming are a recording, s. */
+const PLAYED_S = 86400;
 
 const item = (state, name, words, title) => h("span", { class: `health ${state}`, title }, h("span", { class: "dot", "aria-hidden": "true" }), h("b", null, name), " ", words);
 
@@ -23,6 +25,7 @@ function age({ silent_loops: silent, oldest_loop: name, oldest_age_s: oldest }) 
   const link = name && h("a", { href: `#/loop/${encodeURIComponent(name)}` }, name);
   if (silent) return item("warn", "Data", [`${format.count(silent, "loop")} silent; longest `, link, oldest > 0 ? ` for ${format.duration(oldest)}` : ""]);
   if (oldest < -OFF_S) return item("good", "Data", `fresh${store.site?.note ? "" : `; plant time is ${format.duration(-oldest)} ahead of the clock`}`);
+  if (oldest > PLAYED_S) return item("wait", "Data", `played back, ${format.duration(oldest)} old`);
   return item("good", "Data", `at most ${format.duration(Math.max(1, Math.ceil(oldest)))} old`);
 }
 

@@ -25,6 +25,7 @@ export const DEFAULTS = {
   without: [],
   pairs: false,
   budget_s: null,
+  axes: "apart",
 };
 
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);

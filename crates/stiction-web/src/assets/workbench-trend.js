@@ -7,7 +7,7 @@ const SYNC = "wb-trend";
 /** How PV and OP share axes: charts apart, one chart with an axis each, one chart with one axis. */
 const AXES = [["apart", "Two charts"], ["double", "Two axes"], ["single", "One axis"]];
 
-/** The trend of the chosen loop. `on.sections(sections, words)` hears of every change of the sections. */
+/** The trend of the chosen loop. `on.sections(sections, words)` and `on.axes(axes, words)` hear of every change. */
 export class Trend {
   constructor(root, { api, charts, dom, format, announce }, on) {
     Object.assign(this, { root, api, charts, format, announce, on, h: dom.h, fill: dom.fill, problem: dom.problem, skeleton: dom.skeleton });
@@ -54,7 +54,7 @@ export class Trend {
     fill(this.root,
       h("div", { class: "row" },
         this.segments("What dragging does", [["select", "Drag to select a section"], ["zoom", "Drag to zoom"]], "drags"),
-        this.segments("Axes of PV and OP", AXES, "axes", () => this.draw()),
+        this.axisButtons = this.segments("Axes of PV and OP", AXES, "axes", (id, words) => this.on.axes(id, `Axes: ${words.toLowerCase()}`)),
         h("span", { class: "soft hint" }, h("kbd", null, "["), " and ", h("kbd", null, "]"), " start and end a section at the cursor; ", h("kbd", null, "Shift"), "-drag moves the view")),
       this.plots, this.list);
     this.plots.addEventListener("keydown", (e) => this.key(e));
@@ -68,7 +68,7 @@ export class Trend {
     const buttons = all.map(([id, words]) => h("button", { class: "button", type: "button", "aria-pressed": String(this[name] === id), onclick: (e) => {
       this[name] = id;
       for (const other of e.target.parentNode.children) other.setAttribute("aria-pressed", String(other === e.target));
-      chosen();
+      chosen(id, words);
     } }, words));
     return h("div", { class: "row segments", role: "group", "aria-label": label }, buttons);
   }
@@ -178,6 +178,14 @@ export class Trend {
     const sections = [...this.sections, { from, to }].sort((a, b) => a.from - b.from);
     this.on.sections(sections, `Section added: ${this.words(from, to)}`);
     this.announce(`Section added: ${this.words(from, to)}`);
+  }
+
+  /** Other axes, as a button or undo brings them. */
+  setAxes(axes) {
+    this.axes = axes;
+    if (!this.drawn) return;
+    AXES.forEach(([id], k) => this.axisButtons.children[k].setAttribute("aria-pressed", String(id === axes)));
+    this.draw();
   }
 
   /** New sections, as undo brings them. */

@@ -83,7 +83,7 @@ class Bench {
     const { context } = this;
     this.listen();
     this.fileList = new Files(this.files, context, { chosen: (file, one) => this.chooseLoop(file, one), changed: () => this.arrange() });
-    this.trends = new Trend(this.trend, context, { sections: (sections, words) => choices.change({ sections }, words) });
+    this.trends = new Trend(this.trend, context, { sections: (sections, words) => choices.change({ sections }, words), axes: (axes, words) => choices.change({ axes }, words) });
     this.previews = new Preview(this.preview, context);
     this.runs = new Runs(this.progress, this.table, context, { shown: (job) => this.showResult(job), looked: () => this.look(), called: (job) => this.called(job), changed: () => this.runsChanged(), again: (job) => this.again(job) });
     this.arrange();
@@ -176,6 +176,7 @@ class Bench {
     } else if (now.sections !== before.sections) {
       this.trends.setSections(now.sections);
     }
+    if (now.axes !== before.axes) this.trends.setAxes(now.axes);
     this.forms.update(now, before);
     history(this.steps, this.context, choices);
     this.arrange();
