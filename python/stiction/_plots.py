@@ -277,7 +277,10 @@ def error_map(found: Assessment, table: Any, order: int | None, step: float, ax:
     ax.fill([0, 0.5 * span, span], [0, 0.5 * span, 0], color="#808690", lw=0)
     edges = [side * (np.arange(n + 1) - 0.5) for n in z.shape[::-1]]
     cells = ax.pcolormesh(*edges, z, norm=scale, cmap="viridis")
-    ax.get_figure(root=True).colorbar(cells, ax=ax, label="rms error, % of PV's std")  # type: ignore[union-attr]
+    bar = ax.get_figure(root=True).colorbar(cells, ax=ax, label="rms error, % of PV's std")  # type: ignore[union-attr]
+    shown = np.geomspace(low, high, 6) if isinstance(scale, matplotlib.colors.LogNorm) else np.linspace(low, high, 6)
+    bar.set_ticks(shown.tolist(), labels=[_show.number(value) for value in shown])
+    bar.minorticks_off()
     for ends in BOUNDS:
         ax.plot(*zip(*(_bands(s * span, j * span) for s, j in ends)), color=INK["paper"], lw=0.8, ls=(0, (4, 3)))
     for x, y, word in REGIONS:

@@ -98,7 +98,8 @@ class StictionDetector(_Base):  # type: ignore[misc]
         )  # fmt: skip
         judged = 0
         for one in windows:
-            first, last = (int(np.searchsorted(stamps, end, side)) for end, side in zip(one.window, ("left", "right")))
+            first = int(np.searchsorted(stamps, one.window[0], side="left"))
+            last = int(np.searchsorted(stamps, one.window[1], side="right"))
             p[max(first, judged) : last] = probability(one)
             judged = max(judged, last)
         return p
