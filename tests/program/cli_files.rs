@@ -227,6 +227,18 @@ fn wave(sticking: bool) -> String {
 }
 
 #[test]
+fn a_folder_lists_a_record_on_its_own_clock_and_refuses_a_short_one() {
+    let folder = Folder::new();
+    let long = "a-name-of-more-than-forty-characters-that-is-shown-whole";
+    folder.write(&format!("{long}.csv"), wave(true));
+    folder.write("short.csv", "t,op,pv\n0,1,2\n1,2,3\n");
+    let done = expect(0, &["analyze", &folder.path("")]);
+    let (text, said) = (stdout(&done), stderr(&done));
+    assert!(text.contains(long) && !text.contains("1970") && text.contains("1 not analysed"), "{text}");
+    assert_eq!(said.matches("short.csv: 2 usable samples at most").count(), 1, "{said}");
+}
+
+#[test]
 fn evaluate_counts_records_data_and_valves() {
     let folder = Folder::new();
     for (name, sticking) in [("A_01", true), ("A_02", true), ("B", false), ("C", false)] {
