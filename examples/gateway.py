@@ -41,7 +41,7 @@ def main(endpoint, prefix, *loops):
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     with zenoh.open(config) as session:
-        publishers = {}
+        publishers, sent = {}, 0
         for t_ns, signal, loop, value, good in heapq.merge(*(labelled(*entry.split("=", 1)) for entry in loops)):
             key = f"{prefix}/{loop}/{SIGNALS[signal]}"
             if key not in publishers:
@@ -53,7 +53,9 @@ def main(endpoint, prefix, *loops):
                     time.sleep(0.05)
             # The plant's own time and quality: stictiond never uses the time of arrival if it has this.
             publishers[key].put(json.dumps({"t": t_ns, "v": value, "q": UA_GOOD if good else UA_BAD}))
+            sent += 1
         time.sleep(0.5)  # what was put last is still on its way
+    print(f"{sent} values of {len(publishers)} signals sent")
 
 
 if __name__ == "__main__":

@@ -445,6 +445,7 @@ def test_the_example_gateway(folder):
             capture_output=True, text=True, timeout=60,
         )
         assert done.returncode == 0, done.stderr
+        assert done.stdout == "1401 values of 3 signals sent\n", done.stdout
         eventually("every sample", lambda: daemon.healthz()["counters"].get("samples") == 1401, 20)
         eventually("two windows", lambda: daemon.healthz()["counters"]["estimates"] == 2, 60)
         assert daemon.stop() < 5
