@@ -348,7 +348,7 @@ mod tests {
         let cut: Vec<&str> = text.lines().map(|line| line.rsplit_once(',').unwrap().0).collect();
         assert!(text.starts_with("file,label,") && cut[0].ends_with(",s"), "{text}");
         fs::write(reviews.index(), cut.join("\n") + "\n").unwrap();
-        assert_eq!(reviews.all().unwrap(), [first.clone()]);
+        assert_eq!(reviews.all().unwrap(), std::slice::from_ref(&first));
         let repaired = Review { label: Label::Repaired, work_at: Some(Moment(5_000_000_000)), ..review("A", None) };
         let second = reviews.keep(repaired, &samples(), 0.0).unwrap();
         assert_eq!(reviews.all().unwrap(), [first, second]);
