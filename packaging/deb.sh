@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Makes the Debian package from a program that is built already, with dpkg-deb and binutils alone.
-# Usage: packaging/deb.sh [--binary PATH] [--out FOLDER]; without them target/release/stictiond and target/package.
+# Makes the Debian package from programs that are built already, with dpkg-deb and binutils alone.
+# Usage: packaging/deb.sh [--binary PATH] [--out FOLDER]; without them target/release/stictiond and target/package. The
+# program stictiond-bridge is taken from beside it.
 # Prints the package's path. The same program, sources and SOURCE_DATE_EPOCH (default: the last commit) give the same bytes.
 # DEBFULLNAME and DEBEMAIL name who answers for the package, DEB_REVISION counts packages of one version.
 set -euo pipefail
@@ -39,12 +40,15 @@ SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || 
 export SOURCE_DATE_EPOCH
 architecture=$(dpkg --print-architecture)
 
-# What the program is linked to, named as Debian names it. A static program needs nothing.
+bridge=$(dirname "$binary")/stictiond-bridge
+[ -x "$bridge" ] || fail "$bridge is missing: cargo build --release --locked --features full makes both programs"
+
+# What the programs are linked to, named as Debian names it. A static program needs nothing.
 depends=adduser
-for library in $(readelf -d "$binary" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p'); do
+for library in $(readelf -d "$binary" "$bridge" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p'); do
     case $library in
         libc.so.6 | libm.so.6 | libdl.so.2 | libpthread.so.0 | librt.so.1 | ld-linux*)
-            glibc=$(readelf -VW "$binary" | grep -o 'GLIBC_[0-9.]*' | cut -c 7- | sort -V | tail -n 1)
+            glibc=$(readelf -VW "$binary" "$bridge" | grep -o 'GLIBC_[0-9.]*' | cut -c 7- | sort -V | tail -n 1)
             needed="libc6 (>= $glibc)" ;;
         libgcc_s.so.1) needed="libgcc-s1 (>= 4.2)" ;;
         *) fail "$binary is linked to $library, which no Debian package is known for here" ;;
@@ -64,18 +68,24 @@ put() {
 }
 
 put 755 "$binary" "$stage/usr/bin/stictiond"
-strip --strip-all "$stage/usr/bin/stictiond"
+put 755 "$bridge" "$stage/usr/bin/stictiond-bridge"
+strip --strip-all "$stage"/usr/bin/*
 put 644 config/stictiond.service "$stage/usr/lib/systemd/system/stictiond.service"
 put 644 packaging/monitor.toml "$stage/etc/stictiond/monitor.toml"
 put 644 packaging/debian/lintian-overrides "$stage/usr/share/lintian/overrides/stictiond"
 
 # The program writes these itself, so they cannot depart from it.
 "$binary" manual --out "$stage/usr/share/man/man1" >/dev/null
+# Its own pages, in place of the one for the command that calls it.
+"$bridge" manual --force --out "$stage/usr/share/man/man1" >/dev/null
 gzip -9n "$stage"/usr/share/man/man1/*
 mkdir -p "$stage"/usr/share/{bash-completion/completions,zsh/vendor-completions,fish/vendor_completions.d}
-"$binary" completions bash >"$stage/usr/share/bash-completion/completions/stictiond"
-"$binary" completions zsh >"$stage/usr/share/zsh/vendor-completions/_stictiond"
-"$binary" completions fish >"$stage/usr/share/fish/vendor_completions.d/stictiond.fish"
+for program in "$stage"/usr/bin/*; do
+    name=$(basename "$program")
+    "$program" completions bash >"$stage/usr/share/bash-completion/completions/$name"
+    "$program" completions zsh >"$stage/usr/share/zsh/vendor-completions/_$name"
+    "$program" completions fish >"$stage/usr/share/fish/vendor_completions.d/$name.fish"
+done
 
 for page in README.md SECURITY.md docs/*.md docs/history/*.md docs/results/*.txt; do
     put 644 "$page" "$doc/$page"

@@ -51,7 +51,7 @@ fi
 
 # The profile that the workspace's tests have built most of already.
 rm -rf "$work/dist"
-"$maturin" build --quiet --locked --profile dev --manifest-path python/Cargo.toml --out "$work/dist" \
+"$maturin" build --quiet --locked --profile dev --features beside-programs --manifest-path python/Cargo.toml --out "$work/dist" \
     --target-dir "$target" --compatibility linux
 wheel=$(ls "$work"/dist/*.whl)
 if [ -x "$venv/bin/python" ]; then

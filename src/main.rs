@@ -16,6 +16,7 @@
 //! | `stiction-web` | the page and the API under it, `/metrics`, `/healthz`. It does not know the daemon, nor the daemon it |
 //! | `stiction-workbench` | files in the browser: a program of its own, of which the daemon knows nothing |
 //! | `stiction-command` | what the programs' command lines share: exit codes, output, log, progress, the way to each other |
+//! | `stictiond-bridge` | the program of that name: MQTT and OPC UA onto the bus |
 //! | `stiction-lab-cli` | the program `stiction-lab`: challenges and calibrations |
 //! | this one | the command line: a file for each command. Results go to stdout, everything else to stderr |
 //!
@@ -28,7 +29,6 @@
 pub mod analyze;
 mod analyze_report;
 pub mod bench;
-pub mod bridge;
 mod browser;
 pub mod check;
 pub mod compact;
@@ -69,6 +69,12 @@ use stiction_command::{
 /// The program of challenges and calibrations.
 const LAB: OtherProgram = OtherProgram { name: "stiction-lab", build: "cargo build --release -p stiction-lab-cli" };
 
+/// The program of the bridges.
+const BRIDGE: OtherProgram = OtherProgram {
+    name: "stictiond-bridge",
+    build: "the Debian package, or cargo install --path crates/stictiond-bridge --features mqtt (opcua: both bridges)",
+};
+
 /// Find sticking control valves in loop data, live or recorded, with probability, size and interval.
 ///
 /// Exit codes: 0 done (a verdict never changes the exit code), 1 failed, 2 wrong command line, 3 done with data loss.
@@ -102,7 +108,8 @@ enum CommandArgs {
     Reload(reload::Args),
     Test(test::Args),
     Discover(discover::Args),
-    Bridge(bridge::Args),
+    /// Bring another system's data onto the bus, by the program stictiond-bridge.
+    Bridge(RestArgs),
     Info(info::InfoArgs),
     Recover(recover::Args),
     Schema(schema::Args),
@@ -140,8 +147,8 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Reload(args) => reload::run(&args, format),
         CommandArgs::Test(args) => test::run(&args, format),
-        CommandArgs::Discover(args) => discover::run(&args, format),
-        CommandArgs::Bridge(args) => bridge::run(&args, format),
+        CommandArgs::Discover(args) => discover::run(&args, cli.output),
+        CommandArgs::Bridge(args) => BRIDGE.run(cli.output, &[], &args),
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Recover(args) => recover::run(&args, format),
         CommandArgs::Schema(args) => schema::run(&args),
@@ -152,15 +159,14 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
 }
 
 impl Cli {
-    /// The default log filter, used without `RUST_LOG`. The demo and `top` print alarms and lost links themselves; the
-    /// OPC UA client would log every attempt, and the bridge logs outages itself.
+    /// The default log filter, used without `RUST_LOG`. The demo and `top` print alarms and lost links themselves.
     const fn default_filter(&self) -> &'static str {
         match (&self.command, self.output.format) {
             (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stiction_monitor::alarm=off",
             // It says in its own lines when the link is lost.
             (CommandArgs::Top(_), _) => "warn,zenoh=off",
             // The daemon itself says which listener or router is missing, without paths of sources.
-            _ => "info,zenoh=warn,zenoh::net::runtime::orchestrator=error,opcua=off",
+            _ => "info,zenoh=warn,zenoh::net::runtime::orchestrator=error",
         }
     }
 }

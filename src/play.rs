@@ -13,20 +13,16 @@ use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, say};
 use stiction::record::Sample;
 use stiction::units::s_from_ns;
+use stiction_command::bus::{connect, prefix};
 use stiction_files::LoadedLoop;
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic;
 
 /// Messages per second at `--speed max`: a rate that a daemon takes without loss.
 const MAX_RATE: f64 = 20_000.0;
-/// Time limit for connecting.
-const CONNECT_WITHIN: Duration = Duration::from_secs(10);
-/// Time for declarations to propagate after connecting.
-const SETTLE: Duration = Duration::from_millis(500);
 /// Time limit for a subscriber to show.
 const SUBSCRIBER_WITHIN: Duration = Duration::from_secs(10);
-/// How long a put waits for a receiver that is busy, µs, and how long the end waits until all is sent.
-const PATIENCE_US: &str = "60000000";
+/// How long the end waits until all is sent.
 const CLOSE_WITHIN: Duration = Duration::from_secs(60);
 
 /// Publish the samples of recordings, tables and exports on Zenoh, in place of a gateway.
@@ -61,14 +57,6 @@ pub enum Speed {
     Max,
 }
 
-pub(super) fn prefix(text: &str) -> Result<String, String> {
-    if stiction::units::is_loop_name(text) {
-        Ok(text.to_owned())
-    } else {
-        Err("write a key prefix such as plant1/area1".into())
-    }
-}
-
 fn speed(text: &str) -> Result<Speed, String> {
     if text == "max" {
         return Ok(Speed::Max);
@@ -77,35 +65,6 @@ fn speed(text: &str) -> Result<Speed, String> {
         Ok(times) if times > 0.0 && times.is_finite() => Ok(Speed::Times(times)),
         _ => Err(format!("{text:?}: write a number above 0, or max")),
     }
-}
-
-/// Opens a session connected to an endpoint.
-///
-/// # Errors
-/// Nothing answers there in time.
-pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
-    let mut config = zenoh::Config::default();
-    let endpoints = serde_json::to_string(&[endpoint])?;
-    let timeout = CONNECT_WITHIN.as_millis().to_string();
-    let settings = [
-        ("mode", "\"client\""),
-        ("scouting/multicast/enabled", "false"),
-        ("connect/endpoints", endpoints.as_str()),
-        ("connect/timeout_ms", timeout.as_str()),
-        ("connect/exit_on_failure", "true"),
-        ("transport/link/tx/queue/congestion_control/block/wait_before_close", PATIENCE_US),
-    ];
-    for (key, value) in settings {
-        config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh rejects the setting {key} = {value}: {e}"))?;
-    }
-    let session = zenoh::open(config).await.map_err(|e| {
-        anyhow!(
-            "no answer from {endpoint} within {} s; check the endpoint and that a daemon or router is running there ({e})",
-            CONNECT_WITHIN.as_secs()
-        )
-    })?;
-    tokio::time::sleep(SETTLE).await;
-    Ok(session)
 }
 
 /// Waits until something subscribes to samples below the prefix; says so where nothing does.

@@ -233,7 +233,7 @@ struct Publisher(Option<zenoh::Session>);
 impl Publisher {
     fn open(args: &Args) -> anyhow::Result<Self> {
         let Some(endpoint) = args.connect.as_deref().filter(|_| args.publish) else { return Ok(Self(None)) };
-        Ok(Self(Some(block_on(super::play::connect(endpoint))?)))
+        Ok(Self(Some(block_on(stiction_command::bus::connect(endpoint))?)))
     }
 
     fn publish(&mut self, prefix: &str, output: Output) -> anyhow::Result<()> {

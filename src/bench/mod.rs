@@ -196,7 +196,7 @@ fn ingest(args: &Args) -> anyhow::Result<Vec<Row>> {
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
         let options = RunOptions::of("bench", stiction_web::serve);
         let daemon = tokio::spawn(stiction_daemon::run(config, text, options, async { drop(stopped.await) }));
-        let session = play::connect(&format!("tcp/127.0.0.1:{port}")).await?;
+        let session = stiction_command::bus::connect(&format!("tcp/127.0.0.1:{port}")).await?;
         play::wait_for_subscriber(&session, PREFIX).await?;
         let sent = feed(&session, args).await?;
         // The daemon's health is made every 5 s: wait for one that is younger than the last message.

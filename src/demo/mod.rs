@@ -134,7 +134,7 @@ async fn watch(
     };
     let stopping = asked_to_stop()?;
     // The daemon listens before anything else; the session keeps trying until it does.
-    let session = play::connect(&format!("tcp/127.0.0.1:{port}")).await?;
+    let session = stiction_command::bus::connect(&format!("tcp/127.0.0.1:{port}")).await?;
     play::wait_for_subscriber(&session, &config.site.prefix).await?;
     let plant = publish(&session, scenario, &config.site.prefix);
     let ends = async {

@@ -25,7 +25,7 @@ use self::board::{LoopTable, Now};
 use self::cells::{Figure, TerminalStyle};
 use self::view::View;
 use super::reading::config_file;
-use super::{Format, Outcome, UsageError, asked_to_stop, block_on, play, say};
+use super::{Format, Outcome, UsageError, asked_to_stop, block_on, say};
 use stiction::units::ms_from_ns;
 
 /// Default endpoint of a daemon.
@@ -45,7 +45,7 @@ pub struct Args {
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Key prefix of the daemons; needed only if several plants share the bus.
-    #[arg(long, value_parser = play::prefix)]
+    #[arg(long, value_parser = stiction_command::bus::prefix)]
     pub prefix: Option<String>,
     /// Daemon configuration (TOML) from which to take prefix, endpoints and security.
     #[arg(long, value_name = "FILE")]

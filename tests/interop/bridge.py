@@ -1,4 +1,4 @@
-"""`stictiond bridge mqtt` against mosquitto with TLS, a user and a store: restarts of the broker and of the bridge lose nothing."""
+"""`stictiond-bridge mqtt` against mosquitto with TLS, a user and a store: restarts of the broker and of the bridge lose nothing."""
 
 import json
 import os
@@ -12,7 +12,7 @@ from pathlib import Path
 import paho.mqtt.client as paho
 from mcap.reader import make_reader
 
-from daemon import PROGRAM, Daemon, eventually, free_port
+from daemon import BRIDGE, Daemon, eventually, free_port
 from receivers import MOSQUITTO, environment, tool
 
 PREFIX = "plant1/area1"
@@ -75,7 +75,7 @@ class Bridge:
     def __init__(self, broker, endpoint, figures):
         self.figures = figures
         self.process = subprocess.Popen(
-            [PROGRAM, "--format", "json", "bridge", "mqtt", "--from", f"mqtts://localhost:{broker.port}", "--user", "plant",
+            [BRIDGE, "--format", "json", "mqtt", "--from", f"mqtts://localhost:{broker.port}", "--user", "plant",
              "--secret-file", broker.folder / "password", "--ca-file", broker.ca, "--topic", "dcs/#", "--topic", "single/+",
              "--connect", endpoint, "--prefix", f"{PREFIX}/mqtt", "--map", f"single/op={PREFIX}/TIC9/op", "--figures", figures],
             stdout=subprocess.PIPE, stderr=open(broker.folder / "bridge.log", "a"), text=True,

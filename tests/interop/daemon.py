@@ -14,6 +14,7 @@ import zenoh
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = Path(ROOT, os.environ.get("CARGO_TARGET_DIR", "target"), "debug", "stictiond")
+BRIDGE = PROGRAM.with_name("stictiond-bridge")
 SESSIONS = []
 
 

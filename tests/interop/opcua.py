@@ -1,4 +1,4 @@
-"""`stictiond bridge opcua` against asyncua: every value that the server made while there was a session is in the recording, and
+"""`stictiond-bridge opcua` against asyncua: every value that the server made while there was a session is in the recording, and
 every stretch without one is in the figures."""
 
 import json
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from daemon import PROGRAM, Daemon, eventually, free_port, stictiond
+from daemon import BRIDGE, Daemon, eventually, free_port
 
 PREFIX = "plant1/area1"
 LOOPS = int(os.environ.get("STICTIOND_OPCUA_LOOPS", "10"))
@@ -107,7 +107,7 @@ class Bridge:
         self.figures, self.log = folder / "figures.json", folder / "bridge.log"
         words = ["--nodes", folder / "nodes.txt", "--connect", endpoint, "--prefix", f"{PREFIX}/opcua", "--figures", self.figures]
         self.process = subprocess.Popen(
-            [PROGRAM, "--format", "json", "bridge", "opcua", *from_, "--sampling-ms", str(int(1000 * EVERY_S)), *words],
+            [BRIDGE, "--format", "json", "opcua", *from_, "--sampling-ms", str(int(1000 * EVERY_S)), *words],
             stdout=subprocess.PIPE, stderr=open(self.log, "a"), text=True, env={**os.environ, "NO_COLOR": "1"},
         )
 
@@ -149,11 +149,16 @@ def recorded(folder):
     return found
 
 
+def called(*arguments):
+    done = subprocess.run([BRIDGE, *map(str, arguments)], capture_output=True, text=True, timeout=300)
+    return done.returncode, done.stdout, done.stderr
+
+
 def discovered(folder, from_):
-    """The list of nodes and the loops as `discover opcua` writes them, and what shall be refused besides."""
+    """The list of nodes and the loops as `discover` writes them, and what shall be refused besides."""
     nodes, loops = folder / "nodes.txt", folder / "loops.toml"
-    code, out, err = stictiond(
-        "discover", "opcua", *from_, "--browse", "/Objects/Plant", "--prefix", f"{PREFIX}/opcua", "--nodes", nodes, "--out", loops)
+    code, out, err = called(
+        "discover", *from_, "--browse", "/Objects/Plant", "--prefix", f"{PREFIX}/opcua", "--nodes", nodes, "--out", loops)
     assert code == 0 and f"{LOOPS} loops" in err, (out, err)
     text = loops.read_text()
     assert text.count("[[loop]]") == LOOPS and f'op = "{PREFIX}/opcua/FIC100/OP"' in text, text[:500]
@@ -197,8 +202,8 @@ def untrusted_first(folder, bridge):
 
 
 def can_be_tried():
-    if "this build has no" in stictiond("bridge", "opcua")[2]:
-        print("\nSKIPPED: this build has no OPC UA bridge (cargo build --features bridge-opcua): it was not tried\n", flush=True)
+    if "this build has no" in called("opcua")[2]:
+        print("\nSKIPPED: this build has no OPC UA bridge (cargo build -p stictiond-bridge --features opcua): it was not tried\n", flush=True)
     elif not shutil.which("openssl"):
         print("\nSKIPPED: openssl cannot be had: the OPC UA bridge was not tried\n", flush=True)
     else:

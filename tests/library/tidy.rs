@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates of the workspace.
-pub const CRATES: [&str; 13] = [
+pub const CRATES: [&str; 14] = [
     "src",
     "crates/stiction/src",
     "crates/stiction-monitor/src",
@@ -22,6 +22,7 @@ pub const CRATES: [&str; 13] = [
     "crates/stiction-workbench/src",
     "crates/stiction-command/src",
     "crates/stiction-lab-cli/src",
+    "crates/stictiond-bridge/src",
 ];
 
 /// Longest source file, lines.

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The Debian package of target/debug/stictiond, or of STICTIOND_BIN, on a clean Debian root: installed, run, upgraded, removed
-# and purged.
+# and purged. Before it the wheel and the tarball (tests/package/wheel.sh).
 # Usage: tests/package/run.sh [--fetch | --boot]. Needs root and debootstrap; says loudly when they cannot be had. The root is
 # kept as target/package/*.tar, once; --fetch does no more than that. --boot is for the hand: it boots a root with systemd in
 # systemd-nspawn and tries the unit itself there.
@@ -13,6 +13,9 @@ skip() {
     printf '\n!! SKIPPED: package test: %s\n\n' "$*" >&2
     exit 0
 }
+
+# What needs no root comes first.
+[ -n "${1:-}" ] || bash tests/package/wheel.sh
 
 [ "$(id -u)" = 0 ] || skip "it takes root (chroot, mount)"
 command -v dpkg-deb >/dev/null || skip "no dpkg-deb"
@@ -53,12 +56,13 @@ exec 9>&-
 [ "${1:-}" != --fetch ] || exit 0
 
 binary=${STICTIOND_BIN:-$target/debug/stictiond}
-[ -x "$binary" ] || cargo build --locked --quiet --features full
+[ -x "$binary" ] && [ -x "$(dirname "$binary")/stictiond-bridge" ] || cargo build --locked --quiet --features full
 work=$(mktemp -d "$target/package/work.XXXXXX")
 trap 'rm -rf "$work"' EXIT
 # Compression is most of the time and nothing of what is tested.
 export DPKG_DEB_COMPRESSOR_TYPE=none
 strip -o "$work/stictiond" "$binary"
+strip -o "$work/stictiond-bridge" "$(dirname "$binary")/stictiond-bridge"
 build() {
     DEB_REVISION=$1 packaging/deb.sh --binary "$work/stictiond" --out "$2"
 }

@@ -33,7 +33,7 @@ impl Installed {
 }
 
 /// A command line, the program that carries it out, and what that is called with.
-const CALLS: [(&[&str], &str, &[&str]); 3] = [
+const CALLS: [(&[&str], &str, &[&str]); 5] = [
     (
         &["gap", "challenge", "new", "--seed", "2", "--out", "x"],
         "stiction-lab",
@@ -44,6 +44,8 @@ const CALLS: [(&[&str], &str, &[&str]); 3] = [
         "stiction-lab",
         &["challenge", "--format", "json", "score", "x"],
     ),
+    (&["bridge", "mqtt", "--from", "mqtt://b"], "stictiond-bridge", &["mqtt", "--from", "mqtt://b"]),
+    (&["discover", "opcua", "--from", "opc.tcp://plc"], "stictiond-bridge", &["discover", "--from", "opc.tcp://plc"]),
     (&["calibrate", "--help"], "stiction-lab", &["calibrate", "--help"]),
 ];
 
@@ -69,7 +71,7 @@ fn the_program_on_path_is_found_and_a_missing_one_says_how_it_is_had() {
         let missing = installed.run(arguments);
         let said = String::from_utf8(missing.stderr).unwrap();
         assert_eq!(missing.status.code(), Some(1), "{arguments:?}");
-        assert!(said.contains(&format!("in the program {name}")) && said.contains("cargo build"), "{said}");
+        assert!(said.contains(&format!("in the program {name}")) && said.contains("get it by"), "{said}");
     }
     for (arguments, name, wanted) in CALLS {
         installed.put("on-path", name);

@@ -3,6 +3,8 @@
 //!
 //! Results go to stdout, everything else to stderr.
 
+#[cfg(feature = "bus")]
+pub mod bus;
 pub mod cpu;
 pub mod log;
 pub mod manual;
@@ -13,6 +15,7 @@ pub mod values;
 use std::fmt::Display;
 use std::future::Future;
 use std::io::Write;
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -124,6 +127,20 @@ pub fn print(text: &str) -> std::io::Result<()> {
 /// Stdout is closed.
 pub fn say(line: impl Display) -> std::io::Result<()> {
     writeln!(std::io::stdout().lock(), "{}", plain(&line.to_string()))
+}
+
+/// Writes results to a file, or prints them where none is named.
+///
+/// # Errors
+/// The file exists and `force` was not given, or it cannot be written; stdout is closed.
+pub fn put(text: &str, out: Option<&Path>, force: bool) -> anyhow::Result<()> {
+    match out {
+        Some(path) => {
+            manual::refuse_existing(path, force)?;
+            std::fs::write(path, text).with_context(|| path.display().to_string())
+        }
+        None => Ok(print(text)?),
+    }
 }
 
 /// Prints a warning on stderr.

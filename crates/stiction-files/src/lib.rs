@@ -17,6 +17,7 @@ mod mcap_read;
 mod mcap_roster;
 mod mcap_write;
 mod number;
+pub mod pairing;
 pub mod partition;
 pub mod rescue;
 pub mod reviews;

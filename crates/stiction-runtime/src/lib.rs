@@ -13,5 +13,6 @@ pub mod maintenance;
 pub mod metrics;
 pub mod overview;
 pub mod queue;
+pub mod secrets;
 pub mod series;
 pub mod view;

@@ -28,7 +28,6 @@ use serde::{Deserialize, Serialize};
 use dead::DeadLetters;
 use keep::{Change, Keep};
 #[cfg(feature = "deliver")]
-pub use mqtt::tls_of;
 use queue::Queue;
 use stiction::units::format_rfc3339;
 use stiction_files::disk::{Disk, SystemDisk};
@@ -205,27 +204,6 @@ fn target(d: &Deliver, prefix: &str) -> anyhow::Result<Box<dyn Target>> {
 /// A file cannot be read or holds something else.
 pub fn check(d: &Deliver) -> anyhow::Result<()> {
     target(d, "").map(drop)
-}
-
-/// The text of a secret's file, without the line's end; `None` where no file is named.
-///
-/// # Errors
-/// The file cannot be read.
-pub fn secret(path: &str) -> anyhow::Result<Option<String>> {
-    if path.is_empty() {
-        return Ok(None);
-    }
-    let text = std::fs::read_to_string(path).with_context(|| format!("secret_file {path}"))?;
-    Ok(Some(text.trim_end_matches(['\r', '\n']).to_owned()))
-}
-
-/// The bytes of a PEM file.
-#[cfg(feature = "deliver")]
-fn pem(key: &str, path: &str) -> anyhow::Result<Option<Vec<u8>>> {
-    if path.is_empty() {
-        return Ok(None);
-    }
-    std::fs::read(path).map(Some).with_context(|| format!("{key} {path}"))
 }
 
 /// The engine's end; copies hand over to the same receivers.

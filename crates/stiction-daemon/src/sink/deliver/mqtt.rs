@@ -11,10 +11,11 @@ use rumqttc::mqttbytes::v5::PublishProperties;
 use rumqttc::{AsyncClient, EventLoop, MqttOptions, PublishOptions, QoS, TlsConfiguration, Transport};
 use tokio::runtime::{Builder, Runtime};
 
-use super::{Failure, Item, SEND_WITHIN, Target, pem, secret};
+use super::{Failure, Item, SEND_WITHIN, Target};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Deliver;
 use stiction_monitor::short_hash;
+use stiction_runtime::secrets::{pem, secret};
 
 /// Longer than a connection is held without anything to send: no ping is needed.
 const KEEP_ALIVE_S: u16 = 60;
@@ -58,7 +59,7 @@ impl Mqtt {
 ///
 /// # Errors
 /// A file cannot be read or holds no certificate, or the system has none.
-pub fn tls_of(ca_file: &str, cert_file: &str, key_file: &str) -> anyhow::Result<TlsConfiguration> {
+fn tls_of(ca_file: &str, cert_file: &str, key_file: &str) -> anyhow::Result<TlsConfiguration> {
     let Some(ca) = pem("ca_file", ca_file)? else {
         return TlsConfiguration::try_default_rustls().map_err(|e| anyhow!("this system's certificates: {e}"));
     };

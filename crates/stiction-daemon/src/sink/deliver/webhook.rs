@@ -7,8 +7,9 @@ use serde_json::json;
 use ureq::Agent;
 use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConfig, parse_pem};
 
-use super::{Failure, Item, SEND_WITHIN, Target, pem, secret};
+use super::{Failure, Item, SEND_WITHIN, Target};
 use stiction_monitor::config::Deliver;
+use stiction_runtime::secrets::{pem, secret};
 
 /// What a body is.
 const CONTENT_TYPE: &str = "application/cloudevents+json; charset=utf-8";

@@ -1,30 +1,30 @@
-//! `stictiond bridge opcua`: republishes a server's values on Zenoh, one key per node. It browses and subscribes; it never
+//! `stictiond-bridge opcua`: republishes a server's values on Zenoh, one key per node. It browses and subscribes; it never
 //! writes and calls no methods.
 //!
 //! The server's queues bridge short network losses: the session is resumed, and messages in transit are requested again by
 //! number. Values from a time without a session cannot be recovered; every such outage is reported with start and end.
 
-#[cfg(feature = "bridge-opcua")]
+#[cfg(feature = "opcua")]
 pub(crate) mod browse;
-#[cfg(any(feature = "bridge-opcua", test))]
+#[cfg(any(feature = "opcua", test))]
 mod figures;
-#[cfg(any(feature = "bridge-opcua", test))]
+#[cfg(any(feature = "opcua", test))]
 mod hold;
-#[cfg(any(feature = "bridge-opcua", test))]
+#[cfg(any(feature = "opcua", test))]
 pub(crate) mod nodes;
-#[cfg(feature = "bridge-opcua")]
+#[cfg(feature = "opcua")]
 pub(crate) mod server;
-#[cfg(feature = "bridge-opcua")]
+#[cfg(feature = "opcua")]
 mod serving;
-#[cfg(feature = "bridge-opcua")]
+#[cfg(feature = "opcua")]
 mod subscription;
-#[cfg(any(feature = "bridge-opcua", test))]
+#[cfg(any(feature = "opcua", test))]
 mod values;
 
-#[cfg(feature = "bridge-opcua")]
+#[cfg(feature = "opcua")]
 pub use with::{Args, run};
 
-#[cfg(feature = "bridge-opcua")]
+#[cfg(feature = "opcua")]
 mod with {
     use std::path::PathBuf;
 
@@ -33,8 +33,8 @@ mod with {
     use super::nodes;
     use super::server::ServerArgs;
     use super::serving::serve;
-    use crate::bridge::bus::{BusArgs, document};
-    use crate::{Format, Outcome, UsageError, asked_to_stop, block_on, list, say};
+    use crate::bus::{BusArgs, document};
+    use stiction_command::{Format, Outcome, UsageError, asked_to_stop, block_on, list, say};
 
     /// Time that the server's queues cover by default, in addition to the publishing interval, ms.
     const QUEUE_MS: u32 = 10_000;
@@ -45,9 +45,9 @@ mod with {
     /// with start and end, because a subscription cannot recover the values in between.
     #[derive(Debug, clap::Args)]
     #[command(
-        after_help = "Examples: stictiond bridge opcua --from opc.tcp://plc:4840 --nodes nodes.txt \\\n            \
+        after_help = "Examples: stictiond-bridge opcua --from opc.tcp://plc:4840 --nodes nodes.txt \\\n            \
                         --connect tcp/127.0.0.1:7447 --prefix plant1/area1/opcua\n          \
-                        stictiond bridge opcua --from opc.tcp://plc:4840 --cert-file own.pem \\\n            \
+                        stictiond-bridge opcua --from opc.tcp://plc:4840 --cert-file own.pem \\\n            \
                         --key-file own.key --trust servers/ --browse /Objects/Plant \\\n            \
                         --connect tcp/127.0.0.1:7447 --prefix plant1/opcua"
     )]

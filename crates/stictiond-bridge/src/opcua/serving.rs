@@ -19,7 +19,7 @@ use super::server::{Event, Link, open};
 use super::subscription::Subscription;
 use super::values::{ENCODING, Trust, overflowed, payload, reading, trust};
 use super::with::Args;
-use crate::bridge::bus::{Bus, PAUSE, Teller};
+use crate::bus::{Bus, PAUSE, Teller};
 
 /// Silence of a subscription, in s, after which its session is given up; a live one reports every five seconds.
 const SILENCE_S: f64 = 30.0;

@@ -54,10 +54,10 @@ pub fn payload(reading: &Reading) -> Vec<u8> {
     json!({"MessageType": "ua-data", "Messages": [{"Payload": {"value": field}}]}).to_string().into_bytes()
 }
 
-#[cfg(feature = "bridge-opcua")]
+#[cfg(feature = "opcua")]
 pub use server::reading;
 
-#[cfg(feature = "bridge-opcua")]
+#[cfg(feature = "opcua")]
 mod server {
     use opcua::types::{DataValue, DateTime, Variant};
 

@@ -1,4 +1,4 @@
-//! `stictiond bridge mqtt`: republishes a broker's messages on Zenoh, payloads unchanged.
+//! `stictiond-bridge mqtt`: republishes a broker's messages on Zenoh, payloads unchanged.
 //!
 //! The broker keeps unacknowledged messages (persistent session, QoS 1). The bridge acknowledges a message only when it is
 //! on the bus and somebody subscribes there. So an outage of the broker or the bus, or a restart of the bridge, loses no
@@ -7,19 +7,20 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use rumqttc::mqttbytes::v5::{Packet, Publish, RetainForwardRule, SubscribeFilter};
 use rumqttc::{
-    AckMode, AsyncClient, BrokerSessionResumePolicy, Event, EventLoop, MqttOptions, QoS, SessionMode, Transport,
+    AckMode, AsyncClient, BrokerSessionResumePolicy, Event, EventLoop, MqttOptions, QoS, SessionMode, TlsConfiguration,
+    Transport,
 };
 use sd_notify::NotifyState;
 
-use super::bus::{Bus, BusArgs, PAUSE, TOLD_EVERY, Teller, document, is_key};
-use crate::{Format, Outcome, asked_to_stop, block_on, say};
-use stiction_daemon::sink::deliver::{secret, tls_of};
+use crate::bus::{Bus, BusArgs, PAUSE, TOLD_EVERY, Teller, document, is_key};
+use stiction_command::{Format, Outcome, asked_to_stop, block_on, say};
 use stiction_monitor::codec::MAX_PAYLOAD;
 use stiction_monitor::config::{Address, Protocol};
 use stiction_monitor::short_hash;
+use stiction_runtime::secrets::{pem, secret};
 
 /// Most unacknowledged messages that the broker may send.
 const UNCONFIRMED: u16 = 1000;
@@ -34,7 +35,7 @@ const GOODBYE: Duration = Duration::from_millis(500);
 /// Retained messages are not requested: they are old values without their time.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Example: stictiond bridge mqtt --from mqtts://broker.plant --user stiction --secret-file pw \\\n           \
+    after_help = "Example: stictiond-bridge mqtt --from mqtts://broker.plant --user stiction --secret-file pw \\\n           \
                         --topic 'spBv1.0/plant/#' --connect tcp/127.0.0.1:7447 --prefix plant1/mqtt"
 )]
 pub struct Args {
@@ -158,6 +159,15 @@ fn options(args: &Args) -> anyhow::Result<MqttOptions> {
         options.set_transport(Transport::tls_with_config(tls_of(&args.ca_file, &args.cert_file, &args.key_file)?));
     }
     Ok(options)
+}
+
+/// TLS that trusts these certificates, or the system's; with a certificate of our own where one is named.
+fn tls_of(ca_file: &str, cert_file: &str, key_file: &str) -> anyhow::Result<TlsConfiguration> {
+    let Some(ca) = pem("ca_file", ca_file)? else {
+        return TlsConfiguration::try_default_rustls().map_err(|e| anyhow!("this system's certificates: {e}"));
+    };
+    let own = pem("cert_file", cert_file)?.zip(pem("key_file", key_file)?);
+    Ok(TlsConfiguration::Simple { ca, alpn: None, client_auth: own })
 }
 
 struct Bridge<'a> {

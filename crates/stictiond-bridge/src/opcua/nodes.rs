@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt::Write as _;
 
-use crate::bridge::bus::is_key;
+use crate::bus::is_key;
 
 /// A subscribed node.
 #[derive(Debug, Clone, PartialEq, Eq)]

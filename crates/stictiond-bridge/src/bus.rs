@@ -9,16 +9,16 @@ use anyhow::{Context, anyhow};
 use serde_json::json;
 use zenoh::qos::CongestionControl;
 
-use crate::play::{connect, prefix};
+use stiction_command::bus::{connect, prefix};
 
 /// How often to check for subscribers while there is none.
 const LISTENED_EVERY: Duration = Duration::from_millis(200);
 /// How often counters are logged.
-pub(super) const TOLD_EVERY: Duration = Duration::from_secs(60);
+pub const TOLD_EVERY: Duration = Duration::from_secs(60);
 /// Time limit for closing the session.
 const GOODBYE: Duration = Duration::from_secs(2);
 /// Pause between connection attempts.
-pub(super) const PAUSE: Duration = Duration::from_secs(1);
+pub const PAUSE: Duration = Duration::from_secs(1);
 
 /// Options of every bridge.
 #[derive(Debug, clap::Args)]
@@ -38,13 +38,13 @@ pub struct BusArgs {
 }
 
 /// Whether this is a key without wildcards, outside the daemons' result keys.
-pub(super) fn is_key(key: &str) -> bool {
+pub fn is_key(key: &str) -> bool {
     let sound = |chunk: &str| !chunk.is_empty() && !chunk.starts_with('@');
     key.split('/').all(sound) && !key.contains(['*', '$', '?', '#']) && !key.chars().any(char::is_control)
 }
 
 /// A bus session that knows whether anybody subscribes to the bridge's keys.
-pub(super) struct Bus {
+pub struct Bus {
     session: zenoh::Session,
     listened: Arc<AtomicBool>,
 }
@@ -102,7 +102,7 @@ impl Bus {
 }
 
 /// Writes counters to the log and a file.
-pub(super) struct Teller {
+pub struct Teller {
     bridge: &'static str,
     file: Option<PathBuf>,
     told: Instant,
@@ -140,7 +140,7 @@ impl Teller {
 }
 
 /// The counters as JSON.
-pub(super) fn document(bridge: &str, figures: &impl serde::Serialize) -> serde_json::Value {
+pub fn document(bridge: &str, figures: &impl serde::Serialize) -> serde_json::Value {
     json!({"schema": "stictiond.bridge.v1", "bridge": bridge, "figures": figures})
 }
 
