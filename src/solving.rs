@@ -116,7 +116,7 @@ pub fn run(
     Ok(Some(solver::document(name, &solved, &mut surface, &settings, found, estimate_mse, elapsed_ms)))
 }
 
-/// A running program; killed on drop.
+/// A running program; killed on drop with every program that it started: one that goes on holds standard error open.
 struct Program {
     child: Child,
     lines: Receiver<std::io::Result<String>>,
@@ -125,6 +125,10 @@ struct Program {
 impl Drop for Program {
     fn drop(&mut self) {
         // Gone already where it ended by itself.
+        #[cfg(target_os = "linux")]
+        if let Some(group) = i32::try_from(self.child.id()).ok().and_then(rustix::process::Pid::from_raw) {
+            let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+        }
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -134,12 +138,11 @@ fn launch(program: &str) -> anyhow::Result<(Program, ChildStdin)> {
     let whole = std::path::Path::new(program).is_file();
     let mut words = if whole { vec![program] } else { program.split_whitespace().collect() };
     let first = words.remove(0);
-    let mut child = Command::new(first)
-        .args(words)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()
-        .with_context(|| format!("{first:?} cannot be started"))?;
+    let mut command = Command::new(first);
+    command.args(words).stdin(Stdio::piped()).stdout(Stdio::piped());
+    #[cfg(target_os = "linux")]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    let mut child = command.spawn().with_context(|| format!("{first:?} cannot be started"))?;
     let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else {
         bail!("{first:?} has no standard input and output");
     };

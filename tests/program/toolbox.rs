@@ -121,8 +121,11 @@ fn a_program_as_solver_is_heard_or_ended() {
         ("silent", "read task\n", "without writing a pair"),
     ] {
         let program = script(name, text);
+        // What the script started is ended, too: it would hold the output that is read here open for 100 s.
+        let started = std::time::Instant::now();
         let (_, told) = expect(1, &[&some[..], &[&program]].concat());
         assert!(told.contains(part), "{name}: {told}");
+        assert!(started.elapsed().as_secs() < 90, "{name}");
     }
     let (_, told) = expect(1, &[&some[..], &["cmd:/nonexistent/solver"]].concat());
     assert!(told.contains("cannot be started"), "{told}");

@@ -26,3 +26,8 @@ mod val_plausible;
 mod val_pool;
 mod val_stick_index;
 mod val_typical;
+
+/// So many cases in the usual run, so many in the long one (`tests/run.sh --all`).
+fn cases<T>(usual: T, long: T) -> T {
+    if std::env::var_os("STICTIOND_LONG").is_some() { long } else { usual }
+}

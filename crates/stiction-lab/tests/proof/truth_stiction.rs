@@ -2,6 +2,7 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use crate::cases;
 use proptest::prelude::*;
 use stiction::record::Record;
 use stiction::signal::stats;
@@ -87,21 +88,21 @@ fn batch(kind: u8, seeds: std::ops::Range<u64>) -> (f64, f64, f64) {
 
 #[test]
 fn noisy_first_order_loops_reach_the_noise_floor() {
-    let (floor, error, sticking) = batch(0, 0..48);
+    let (floor, error, sticking) = batch(0, 0..cases(20, 48));
     // 0.94 of the first 47 before closer looks came after the first one, 0.89 since; of 58 loops 50 both times.
-    assert!(floor >= 0.85 && error < 0.3 && sticking > 0.7);
+    assert!(floor >= 0.85 && error < cases(1.0, 0.3) && sticking > 0.7);
 }
 
 #[test]
 fn noisy_second_order_loops_are_measured() {
-    let (floor, error, sticking) = batch(1, 0..32);
+    let (floor, error, sticking) = batch(1, 0..cases(14, 32));
     // A second lag that held-out data do not miss is taken for dead time, and s goes with it.
     assert!(floor >= 0.75 && error < 4.0 && sticking > 0.35);
 }
 
 #[test]
 fn noisy_integrating_loops_are_measured() {
-    let (floor, error, sticking) = batch(2, 0..32);
+    let (floor, error, sticking) = batch(2, 0..cases(14, 32));
     assert!(floor >= 0.7 && error < 0.3 && sticking > 0.8);
 }
 
@@ -186,7 +187,7 @@ fn the_same_record_gives_the_same_numbers() {
 
 proptest! {
     #![proptest_config(ProptestConfig {
-        cases: 64, failure_persistence: None, rng_seed: proptest::test_runner::RngSeed::Fixed(11), ..ProptestConfig::default()
+        cases: cases(24, 64), failure_persistence: None, rng_seed: proptest::test_runner::RngSeed::Fixed(11), ..ProptestConfig::default()
     })]
 
     #[test]
