@@ -100,6 +100,7 @@ pub fn figures(of: &Diagnosed) -> Result<Vec<Figure>, PlotError> {
     let p = Points::of(of);
     let mut out = vec![runs(&p)?, residuals(&p)?];
     out.extend(ranked(of)?);
+    out.extend(made_of(of)?);
     out.push(phases(of)?);
     out.push(since_slip(&p)?);
     out.push(frequency(of)?);
@@ -273,6 +274,21 @@ fn frequency(of: &Diagnosed) -> Made {
 }
 
 /// Effects by how much of the gap they close.
+/// What PV is made of, a bar for each part of its variance.
+fn made_of(of: &Diagnosed) -> Result<Option<Figure>, PlotError> {
+    let Some(budget) = text::budget(&of.document) else { return Ok(None) };
+    let notes: Vec<String> = budget.parts.iter().map(|part| format!("{:.1} %", part.share_pct)).collect();
+    let list: Vec<Bar<'_>> = budget
+        .parts
+        .iter()
+        .zip(&notes)
+        .map(|(part, note)| Bar { label: &part.words, value: Some(part.share_pct), interval: None, ink: Ink::Pv, note })
+        .collect();
+    let picture = bars("What PV is made of", WIDE, "% of PV's variance", &list)?;
+    let caption = "Parts under a model of the noise; together 100 %. A part below 0 works against the others.";
+    Ok(Some(Figure { picture, caption: caption.to_owned(), wide: true }))
+}
+
 fn ranked(of: &Diagnosed) -> Result<Option<Figure>, PlotError> {
     let d = &of.document;
     let drawn: Vec<&EffectNote> =

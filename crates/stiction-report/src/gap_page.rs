@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::gap_figures::figures;
 use super::page::{flatten, optional, picture, whole};
 use super::plot::PlotError;
-use stiction::gap::text;
+use stiction::gap::text::{self, BudgetText};
 use stiction::units::{from_to, number, probability};
 use stiction_monitor::analysis::gap::Diagnosed;
 
@@ -115,6 +115,7 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
                                 " before, " (number(f.gap_after)) " after."
                             }
                         }
+                        @if let Some(from_sp) = &d.from_sp { dt { "From SP" } dd { (text::from_sp(from_sp)) "." } }
                         @if let Some(cycles) = &d.closed_loop { dt { "Closed loop" } dd { (text::cycles(cycles)) "." } }
                         dt { "Record" } dd {
                             (from_to(d.window.start_ns, d.window.end_ns)) ", " (d.window.samples) " samples of " (number(d.window.ts_s)) " s, "
@@ -122,6 +123,7 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
                         }
                     }
                 }
+                @if let Some(budget) = text::budget(d) { (made_of(&budget, &text::tellable(d))) }
                 div.pictures { @for figure in &pictures { (picture(figure)) } }
                 details.numbers {
                     summary { "All numbers" }
@@ -132,4 +134,28 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
             }
         }
     })
+}
+
+/// PV's variance part by part, and what limits that.
+fn made_of(budget: &BudgetText, tellable: &[String]) -> Markup {
+    html! {
+        section.card {
+            h2 { "What PV is made of" }
+            div.scroll {
+                table {
+                    caption.soft { (budget.head) }
+                    thead { tr { th.number { "share, %" } th.number { "sd, PV units" } th { "part" } } }
+                    tbody {
+                        @for part in &budget.parts {
+                            tr {
+                                td.number { (format!("{:.1}", part.share_pct)) } td.number { (number(part.sd)) }
+                                td { (part.words) }
+                            }
+                        }
+                    }
+                }
+            }
+            @for sentence in budget.limits.iter().chain(tellable) { p.soft { (sentence) } }
+        }
+    }
 }

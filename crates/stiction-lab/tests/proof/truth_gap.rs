@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use stiction::detect::oscillation;
 use stiction::gap::model::{Added, Model, Process, SCHEMA, Valve};
-use stiction::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Serial, diagnose};
+use stiction::gap::{Base, Diagnosis, Executor, FromSp, GapError, GapOptions, Serial, diagnose};
 use stiction::record::Record;
 use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stiction::sim::controller::{Action, PidSettings};
@@ -116,6 +116,10 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
         let valve = &found.base.model.valve;
         let (s, truth) = (valve.fs + valve.fd, model.valve.fs + model.valve.fd);
         assert!((s / truth - 1.0).abs() < 0.03, "{s} {truth}");
+        // SP moves by several noise deviations, and the loop answers as its model does.
+        let from_sp = found.from_sp.unwrap();
+        println!("{from_sp:?}");
+        assert!(from_sp.base_pct > 50.0 && from_sp.after_pct.is_none(), "{from_sp:?}");
         // What was written down explains the record as well, and no refit is worse than what it starts from.
         let options = GapOptions {
             base: Base::Given(Box::new(found.model_after.clone())),
@@ -153,6 +157,9 @@ fn what_was_added_is_named_and_closes_the_gap() {
         let found = told(model, 900, seed as u64 + 1);
         let named = found.cause.id == id;
         let closes = found.named().and_then(|e| e.closed_pct).is_some_and(|c| c > 40.0);
+        println!("from SP: {:?}", found.from_sp);
+        let better = |from_sp: FromSp| from_sp.after_pct.is_none_or(|after| after > from_sp.base_pct);
+        assert!(found.from_sp.is_none_or(better), "{id}: {:?}", found.from_sp);
         println!("{id}: {:?}, closed {:?}", found.cause, found.named().and_then(|e| e.closed_pct));
         for e in found.effects.iter().take(4) {
             let left = e.fit.as_ref().map(|f| f.rmse_train);

@@ -10,6 +10,7 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, Sse};
 use axum::routing::get;
+use bytes::Bytes;
 use futures_util::stream::{self, Stream};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -23,6 +24,7 @@ use crate::extract::QueryParams;
 use crate::guard::Permission;
 use crate::server::{IdleTimer, Peer};
 use stiction::units::ms_from_ns;
+use stiction_monitor::codec::topic::Kind;
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::overview::Changes;
 
@@ -44,12 +46,23 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
         method: "get",
         path: "/events",
         summary: "Changes as they come, as server-sent events: site, loops (rows; the first with full: true, which replaces all \
-                  before it), alarm (document), groups (loops were compared), and of one loop samples and estimate",
+                  before it), alarm (document), groups (loops were compared), and of one loop samples, estimate and gap (another diagnosis)",
         query: &[Parameter { name: "loop", words: "a loop whose samples and estimates are wanted too" }],
         body: None,
         response: ResponseKind::Events,
         handler: || get(events),
     }]
+}
+
+/// The loop that a page shows, and what was sent of it.
+struct Watched {
+    name: String,
+    /// Newest stamp of its samples, ns.
+    newest_ns: i64,
+    /// End of its newest window, ns.
+    window_ns: i64,
+    /// Its last diagnosis.
+    gap: Option<Bytes>,
 }
 
 /// Where a stream stands.
@@ -61,8 +74,7 @@ struct Watch {
     count: u32,
     version: u64,
     full: bool,
-    /// The loop that is watched, the newest stamp that was sent of it and the end of the newest window, ns.
-    watched: Option<(String, i64, i64)>,
+    watched: Option<Watched>,
     ready: VecDeque<Event>,
 }
 
@@ -78,7 +90,12 @@ async fn events(
     let slot = live.streams.take(peer).ok_or_else(crowded)?;
     let mut ticks = interval(EVERY);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let watched = watching.r#loop.map(|name| (name, i64::MIN, i64::MIN));
+    let watched = watching.r#loop.map(|name| Watched {
+        gap: live.last_bytes(&name, Kind::Gap),
+        name,
+        newest_ns: i64::MIN,
+        window_ns: i64::MIN,
+    });
     let watch = Watch { live, token, idle, ticks, count: 0, version: 0, full: true, watched, ready: VecDeque::new() };
     let stream = stream::unfold((watch, slot), |(mut watch, slot)| async {
         let event = watch.next().await;
@@ -137,13 +154,19 @@ impl Watch {
     }
 
     async fn look_at_loop(&mut self) {
-        let Some((name, sent_ns, window_ns)) = &mut self.watched else { return };
+        let Some(Watched { name, newest_ns: sent_ns, window_ns, gap }) = &mut self.watched else { return };
         if let Some(estimate) = self.live.overview.newest(name).and_then(|newest| newest.estimate) {
             let end_ns = estimate.assessment.window.end_ns;
             if end_ns > *window_ns {
                 *window_ns = end_ns;
                 self.ready.push_back(event("estimate", estimate.as_ref()));
             }
+        }
+        let diagnosed = self.live.last_bytes(name, Kind::Gap);
+        if diagnosed != *gap {
+            *gap = diagnosed;
+            // Only that there is another one: it is asked for with the words that go with it.
+            self.ready.push_back(event("gap", &json!({"loop": name})));
         }
         // A loop that has not appeared yet is no reason to end.
         let Ok(looked) = self.live.look(name, None).await else { return };

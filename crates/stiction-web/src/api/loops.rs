@@ -63,6 +63,10 @@ struct Words {
     indicators: Vec<Indicated>,
     /// The gap diagnosis.
     gap: Option<String>,
+    /// What PV is made of, by that diagnosis.
+    budget: Option<text::BudgetText>,
+    /// What the diagnosed record can tell.
+    tellable: Vec<String>,
 }
 
 /// A name and what it means.
@@ -119,8 +123,11 @@ async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<D
     let gap = live.last_document(&name, Kind::Gap);
     let op_range = live.config.get().loop_named(&name).and_then(|l| l.op_range);
     let mut words = newest.estimate.as_deref().map(|e| words_of(&e.assessment, op_range)).unwrap_or_default();
-    words.gap =
-        gap.as_ref().and_then(|g| serde_json::from_value::<GapDocument>(g.clone()).ok()).map(|g| text::paragraph(&g));
+    if let Some(read) = gap.as_ref().and_then(|g| serde_json::from_value::<GapDocument>(g.clone()).ok()) {
+        words.gap = Some(text::paragraph(&read));
+        words.budget = text::budget(&read);
+        words.tellable = text::tellable(&read);
+    }
     Ok(Json(Detail {
         row,
         estimate: newest.estimate.as_deref().cloned(),
@@ -155,5 +162,7 @@ fn words_of(a: &Assessment, op_range: Option<[f64; 2]>) -> Words {
             })
             .collect(),
         gap: None,
+        budget: None,
+        tellable: Vec::new(),
     }
 }

@@ -22,6 +22,7 @@ use std::time::{Duration, Instant};
 use axum::extract::DefaultBodyLimit;
 use axum::http::StatusCode;
 use axum::{Json, Router};
+use bytes::Bytes;
 use crossbeam_channel::Sender;
 use tokio::sync::{Semaphore, oneshot};
 
@@ -156,11 +157,14 @@ impl Live {
 
     /// The last document of a loop as it was published.
     fn last_document(&self, loop_name: &str, kind: Kind) -> Option<serde_json::Value> {
+        serde_json::from_slice(&self.last_bytes(loop_name, kind)?).ok()
+    }
+
+    /// The JSON of the last document of a loop.
+    fn last_bytes(&self, loop_name: &str, kind: Kind) -> Option<Bytes> {
         let key = topic::result(&self.config.get().site.prefix, loop_name, kind);
         let last = self.last.read().unwrap_or_else(PoisonError::into_inner);
-        let document = last.get(&key)?.document.clone();
-        drop(last);
-        serde_json::from_slice(&document).ok()
+        Some(last.get(&key)?.document.clone())
     }
 
     /// Looks back on a thread of its own.

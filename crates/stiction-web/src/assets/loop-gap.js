@@ -36,21 +36,32 @@ function effects(list, pv) {
     h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, plain(e.id), h("small", { class: "soft asks" }, size(e), e.separated_by ? `distinguished by ${e.separated_by}` : "")), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), figureCell(format.parts(e.closed_pct, e.closed_interval)), h("td", { class: "number" }, format.number(e.gap_after)))))));
 }
 
+/** What PV is made of, and what limits that table. */
+function madeOf({ budget, tellable }, pv) {
+  const table = budget && h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "What PV is made of" }, h("table", { class: "table" },
+    h("caption", { class: "soft" }, `What PV is made of: ${budget.head}.`),
+    h("thead", null, h("tr", null, h("th", { scope: "col", class: "number" }, "share, %"), h("th", { scope: "col", class: "number" }, `deviation, ${pv}`), h("th", { scope: "col" }, "part"))),
+    h("tbody", null, budget.parts.map((p) => h("tr", null, h("td", { class: "number" }, format.number(p.share_pct)), h("td", { class: "number" }, format.number(p.sd)), h("td", null, p.words))))));
+  return [table, [...(budget?.limits ?? []), ...(tellable ?? [])].map((text) => h("p", { class: "note" }, format.sentence(text)))];
+}
+
 function report(gap, words, row) {
   const pv = row.pv_unit ?? "PV units";
   const g = gap.gap;
   return [
-    words ? h("p", { class: "lead" }, format.sentence(words)) : null,
+    words.gap ? h("p", { class: "lead" }, format.sentence(words.gap)) : null,
     h("dl", { class: "facts" },
       item("Where", STAGES[gap.where.stage] ?? plain(gap.where.stage)),
       item("Which", causeWords(gap)),
       gap.second_cause ? item("Second cause", `${plain(gap.second_cause.id)} (p ${format.probability(gap.second_cause.probability)})`) : null,
       g ? item("Size of the gap", `${format.number(g.gap)} ${pv}, ${format.percent(g.relative)} of PV’s standard deviation; noise floor ${format.number(g.noise_floor)} ${pv}`) : null,
       gap.forward ? item("Forward prediction", `${format.number(gap.forward.gap_before)} before, ${format.number(gap.forward.gap_after)} ${pv} after`) : null,
+      gap.from_sp ? item("Closed loop from SP", `predicts ${format.percent(Math.max(0, gap.from_sp.base_pct / 100))} of PV’s variance${gap.from_sp.after_pct == null ? "" : `, with the cause ${format.percent(Math.max(0, gap.from_sp.after_pct / 100))}`}`) : null,
       gap.alternatives?.length ? item("Else", gap.alternatives.slice(0, 3).map((a) => `${plain(a.id)} (p ${format.probability(a.probability)})`).join(", ")) : null,
       test(gap.next_test),
       item("Section", `${format.recent(format.millis(gap.window.start))} to ${format.recent(format.millis(gap.window.end))}, base: ${gap.base.source === "linear" ? "a valve without friction" : "a sticking valve and a first-order process"}`)),
     effects(gap.effects ?? [], pv),
+    madeOf(words, pv),
   ];
 }
 
@@ -84,7 +95,7 @@ export function gap(root, loop) {
   }
 
   loop.onDocument(({ gap: document, words, row, estimate }) => {
-    if (document) fill(body, report(document, words?.gap, row));
+    if (document) fill(body, report(document, words ?? {}, row));
     else fill(body, h("p", { class: "note" }, estimate ? "No diagnosis yet. It shows where the model differs from the record, which effect causes the difference, and how much of the gap that effect closes." : "There is no window to diagnose yet."));
     fill(button, document ? "Run the diagnosis again" : "Run the diagnosis");
     button.hidden = !estimate || store.site?.commands === false;

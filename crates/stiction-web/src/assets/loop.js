@@ -79,7 +79,7 @@ export function show(root, { name, live, announce }) {
 
   // A new window changes nearly everything; the stream says when one is there.
   const mine = (document) => document.loop === name && reload();
-  ends.push(on("estimate", mine), on("alarm", mine), on("back", () => reload(true)));
+  ends.push(on("estimate", mine), on("alarm", mine), on("gap", mine), on("back", () => reload(true)));
   ends.push(on("rows", (names) => (names === null || names.has(name)) && store.rows.has(name) && loop.document && head(headRoot, loop)));
   ends.push(on("gone", (names) => names.has(name) && fill(headRoot, h("h1", null, name),
     h("p", { class: "note" }, "The daemon no longer watches this loop: no sample came for a long time. It appears again with its next sample."))));

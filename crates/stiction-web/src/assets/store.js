@@ -10,7 +10,7 @@ export const store = {
   loaded: false,
 };
 
-/** Hears of `site`, `rows` (a set of changed names, or null for all), `gone` (a set of names), `alarm`, `groups` (loops were compared), `samples`, `estimate`, `link`, `back` (the link, after it was lost), `theme`. */
+/** Hears of `site`, `rows` (a set of changed names, or null for all), `gone` (a set of names), `alarm`, `groups` (loops were compared), `samples`, `estimate`, `gap` (another diagnosis of the loop), `link`, `back` (the link, after it was lost), `theme`. */
 export function on(name, listener) {
   if (!listeners.has(name)) listeners.set(name, new Set());
   listeners.get(name).add(listener);

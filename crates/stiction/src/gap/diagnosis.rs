@@ -1,15 +1,17 @@
 //! From a record to the diagnosis: traces, base, effects, noise models, decision, and its consequences.
 
 use std::collections::BTreeMap;
+use std::iter;
 
 use super::decide;
 use super::effects::{self, Way};
 use super::evidence::{Basis, Evidence, Left};
-use super::express::fit;
+use super::express::{above_floor, fit};
 use super::filter::{self, Filtered};
-use super::forward::forward;
+use super::forward::fitted_to_first_part;
 use super::given;
 use super::judged::Diagnosis;
+use super::loop_run;
 use super::neighbours;
 use super::next_test::next_test;
 use super::noise;
@@ -170,6 +172,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         alternatives: nothing.alternatives,
         features: nothing.features,
         forward: None,
+        from_sp: None,
         pairs: Vec::new(),
         evaluations: 0,
         budget_evaluations: budget,
@@ -193,7 +196,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         made.settle(&[]);
         found.searches.extend(searches);
     }
-    made.forward = run_forward(&problem, &found, &made, &mut work);
+    run_forward(record, &problem, &found, &mut made, &mut work);
     made.confirm();
     made.next_test = next_test(&problem, &found, &made);
     made.evaluations = work.done;
@@ -333,9 +336,18 @@ fn excited(record: &Record, problem: &Problem) -> bool {
     moves || !problem.oscillates
 }
 
-/// Base and cause fitted to the first part alone.
-fn run_forward(problem: &Problem, found: &Found, made: &Diagnosis, work: &mut Work<'_>) -> Option<Forward> {
-    let search = found.searches.iter().find(|l| l.structure.id_in(problem) == made.cause.id);
-    let (Some(search), false) = (search, work.stopped) else { return None };
-    forward(problem, &found.base, search, made.floor.noise_floor, work)
+/// Base and cause fitted to the first part alone: the run over the rest from OP, and from SP.
+fn run_forward(record: &Record, problem: &Problem, found: &Found, made: &mut Diagnosis, work: &mut Work<'_>) {
+    let cause = found.searches.iter().find(|l| l.structure.id_in(problem) == made.cause.id);
+    if work.stopped || cause.is_none() && !loop_run::sp_moves(record) {
+        return;
+    }
+    let floor = made.floor.noise_floor;
+    let searches: Vec<_> = iter::once(&found.base).chain(cause).collect();
+    let Some(first) = fitted_to_first_part(problem, &searches, floor, work) else { return };
+    made.from_sp = loop_run::from_sp(record, &first);
+    if let [base, cause] = first.fits.as_slice() {
+        let [gap_before, gap_after] = [base, cause].map(|fit| above_floor(fit.rmse, floor));
+        made.forward = Some(Forward { gap_before, gap_after });
+    }
 }

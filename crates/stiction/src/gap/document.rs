@@ -13,7 +13,7 @@ use super::loop_run::Cycles;
 use super::model::Model;
 use super::pool::WindowNote;
 use super::sizes::Quantity;
-use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, Parameter, UNKNOWN};
+use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp, Parameter, UNKNOWN};
 use super::typical::{self, Known, TypicalNote};
 use crate::record::Record;
 use crate::signal::stats;
@@ -257,6 +257,9 @@ pub struct GapDocument {
     pub noise_models: NoiseNote,
     /// The simulated closed loop, if the controller can be identified.
     pub closed_loop: Option<Cycles>,
+    /// The closed loop from SP alone, over the part that was not fitted; none where SP hardly moves or no controller can be read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from_sp: Option<FromSp>,
     /// PV's variance, split under a noise model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<BudgetNote>,
@@ -361,6 +364,7 @@ impl GapDocument {
                 whitens: diagnosis.noise_models.whitens,
             },
             closed_loop: super::loop_run::cycles(record, diagnosis),
+            from_sp: diagnosis.from_sp,
             budget: None,
             tellable: None,
             typical: Known::shipped().note(&typical::place(&diagnosis.basis, &diagnosis.features)),

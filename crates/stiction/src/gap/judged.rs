@@ -6,7 +6,7 @@ use super::evidence::{Basis, Evidence};
 use super::model::Model;
 use super::probability::{Calibration, Features};
 use super::types::{
-    Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, GapError, NONE, NextTest,
+    Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, FromSp, GapError, NONE, NextTest,
     NoiseModels, Predictions, Signature, Stages, UNKNOWN,
 };
 
@@ -29,6 +29,8 @@ pub struct Diagnosis {
     pub alternatives: Vec<Alternative>,
     /// Forward in time; `None` where the parts are too short.
     pub forward: Option<Forward>,
+    /// The closed loop from SP alone; `None` where SP hardly moves or no controller can be read.
+    pub from_sp: Option<FromSp>,
     /// The base with the cause, or the base itself.
     pub model_after: Model,
     /// Effects tried two at once, best first; empty where one alone explains the record, unless asked for.
@@ -76,12 +78,17 @@ impl Diagnosis {
         let mut again = self.clone();
         again.settle(ids);
         if again.cause.id != self.cause.id {
-            // The run forward in time was made for another cause.
-            again.forward = None;
-            again.next_test = None;
+            again.drop_runs_of_cause();
         }
         again.confirm();
         again
+    }
+
+    /// Drops what was computed for one cause, where another is named now.
+    pub(super) fn drop_runs_of_cause(&mut self) {
+        self.forward = None;
+        self.from_sp = self.from_sp.map(|from_sp| FromSp { after_pct: None, ..from_sp });
+        self.next_test = None;
     }
 
     /// Whether anything can be concluded from the base.

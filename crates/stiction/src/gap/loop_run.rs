@@ -6,12 +6,15 @@
 use serde::{Deserialize, Serialize};
 
 use super::effects;
+use super::forward::FirstPart;
 use super::in_loop::{NoPlace, Parts, Stated};
 use super::judged::Diagnosis;
 use super::model::Model;
+use super::types::FromSp;
 use crate::detect::oscillation;
 use crate::ident::controller::{self, Reading};
 use crate::record::Record;
+use crate::signal::detrend::moving_average;
 use crate::signal::stats;
 use crate::sim::actuator::Around;
 use crate::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
@@ -21,6 +24,8 @@ use crate::sim::slips::Stroke;
 
 /// Scans simulated at most.
 const MAX_SCANS: usize = 60_000;
+/// Deviations of PV by which SP must move to show the process.
+const LEAST_SP_MOVES: f64 = 0.1;
 /// Room for OP on both sides of what was recorded, spans.
 const WIDE: f64 = 10.0;
 /// A start off the resting place, bands.
@@ -165,9 +170,50 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
     })
 }
 
-/// Runs the loop for twice the record under its set point (its mean where none is recorded) and measures the second
-/// half.
+/// The cycle of the loop under its set point.
 fn run(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Option<Cycle> {
+    let [op, pv] = simulated(model, reading, record, noise_sd)?;
+    let found = cycle(&op, &pv, model.ts_s);
+    (found.amplitude_pv.is_finite() && found.amplitude_op.is_finite()).then_some(found)
+}
+
+/// Whether the record's set point moves enough to show the process.
+#[must_use]
+pub fn sp_moves(record: &Record) -> bool {
+    record.sp.as_ref().is_some_and(|sp| stats::std_dev(sp) > LEAST_SP_MOVES * stats::std_dev(&record.pv))
+}
+
+/// How much of PV the closed loop predicts from SP alone after the part that its models were fitted to, its controller read
+/// from that part, too.
+#[must_use]
+pub fn from_sp(record: &Record, first: &FirstPart) -> Option<FromSp> {
+    let rest = record.part(first.rest, record.len());
+    let reading = controller::read(&record.part(0, first.rest)).filter(|_| sp_moves(&rest))?;
+    let swing = oscillation::detect(&rest.op(), &rest.pv).filter(|o| o.oscillating).map(|o| o.period_points);
+    let averaged = |pv: &[f64]| moving_average(pv, swing.map_or(1, |points| points.round() as usize));
+    let measured = averaged(&rest.pv);
+    let predicted = |model: &Model| {
+        let [_, pv] = simulated(model, &reading, record, 0.0)?;
+        // Points of the record may be means of scans, and no others were simulated than fit in.
+        let points: Vec<f64> = (0..record.len())
+            .map(|k| [k, k + 1].map(|at| at * pv.len() / record.len()))
+            .map(|[from, to]| stats::mean(&pv[from..to.max(from + 1).min(pv.len())]))
+            .collect();
+        let left = measured.iter().zip(averaged(&points[first.rest..])).map(|(y, x)| (y - x) * (y - x));
+        let mean = stats::mean(&measured);
+        let spread: f64 = measured.iter().map(|y| (y - mean) * (y - mean)).sum();
+        Some(100.0 * (1.0 - left.sum::<f64>() / spread)).filter(|pct| pct.is_finite())
+    };
+    let mut all = first.fits.iter().map(|fit| predicted(&fit.model));
+    Some(FromSp {
+        base_pct: all.next()??,
+        after_pct: all.next().flatten(),
+        averaged_s: swing.map(|points| points * record.point_s()),
+    })
+}
+
+/// OP and PV of the loop, run for twice the record under its set point (its mean where none is recorded): the second half.
+fn simulated(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Option<[Vec<f64>; 2]> {
     let sp = record.sp.as_ref().filter(|sp| !sp.is_empty() && sp.iter().all(|v| v.is_finite()));
     let first = sp.map_or_else(|| stats::mean(&record.pv), |sp| sp[0]);
     // The controller's limits are not recorded: wide ones leave the cycle alone.
@@ -189,8 +235,7 @@ fn run(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Opti
         op.push(scan.op);
         pv.push(scan.pv);
     }
-    let found = cycle(&op, &pv, model.ts_s);
-    (found.amplitude_pv.is_finite() && found.amplitude_op.is_finite()).then_some(found)
+    Some([op, pv])
 }
 
 #[cfg(test)]

@@ -98,8 +98,7 @@ pub fn decide_together(windows: &[Window<'_>]) -> Result<Pooled, PoolError> {
     let shown = clearest(windows, &cause.id);
     let mut diagnosis = windows[shown].diagnosis.clone();
     if diagnosis.cause.id != cause.id {
-        // The run forward and the next test were made for another cause.
-        (diagnosis.forward, diagnosis.next_test) = (None, None);
+        diagnosis.drop_runs_of_cause();
     }
     diagnosis.follow(decision);
     diagnosis.cause = cause;

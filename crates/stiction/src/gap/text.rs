@@ -9,8 +9,9 @@ use super::document::{EffectNote, GapDocument, TestNote};
 use super::effects;
 use super::loop_run::Cycles;
 use super::sizes::percent;
-use super::types::{NONE, UNKNOWN};
+use super::types::{FromSp, NONE, UNKNOWN};
 use crate::units::{duration, number, probability};
+pub use budget::{BudgetText, PartText, budget, tellable};
 use claim::Claim;
 
 /// The answer as one paragraph: where, which, how far, what it is indistinguishable from, what would settle it.
@@ -291,6 +292,18 @@ pub fn cycles(c: &Cycles) -> String {
     place::cycles(c)
 }
 
+/// What the closed loop predicts from SP alone.
+#[must_use]
+pub fn from_sp(f: &FromSp) -> String {
+    let averaged = f.averaged_s.map_or_else(String::new, |s| format!(", averaged over {}", duration(s)));
+    let share = |pct: f64| if pct < 0.0 { "nothing".to_owned() } else { percent(pct) };
+    let after = f.after_pct.map_or_else(String::new, |pct| format!(", with the cause {}", share(pct)));
+    format!(
+        "the closed loop with the base, fitted to the first part, predicts {} of PV's variance in the rest{averaged}{after}",
+        share(f.base_pct)
+    )
+}
+
 /// The whole report as lines: the paragraph, then the figures.
 #[must_use]
 pub fn report(d: &GapDocument) -> String {
@@ -339,6 +352,9 @@ pub fn report(d: &GapDocument) -> String {
         };
         let name = if rank == 0 { "effects" } else { "" };
         row(name, format!("{:<20} evidence {:+.2}, {closed}: {}", e.id, e.evidence, effect::phrase(e)));
+    }
+    if let Some(f) = &d.from_sp {
+        row("from SP", from_sp(f));
     }
     if let Some(f) = d.forward {
         row("forward", format!("gap {} before, {} after", number(f.gap_before), number(f.gap_after)));

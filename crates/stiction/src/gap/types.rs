@@ -376,6 +376,18 @@ pub struct Forward {
     pub gap_after: f64,
 }
 
+/// How much of PV the closed loop predicts from SP alone, after the part that model and controller were fitted to.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct FromSp {
+    /// Share of PV's variance that the base predicts, %; below 0 it is worse than PV's mean.
+    pub base_pct: f64,
+    /// The same with the cause.
+    pub after_pct: Option<f64>,
+    /// Time over which PV was averaged before, s: a limit cycle's phase cannot be predicted from SP.
+    pub averaged_s: Option<f64>,
+}
+
 /// The smallest experiment that distinguishes the two best answers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NextTest {

@@ -7,6 +7,8 @@ use super::super::budget::document::{
 use super::super::document::GapDocument;
 use super::effect;
 use crate::units::{duration, number};
+use serde::{Deserialize, Serialize};
+use std::iter;
 
 /// What the record tells where that is too little for the cause.
 fn too_little(d: &GapDocument) -> Option<&TellableNote> {
@@ -30,25 +32,59 @@ pub(super) fn cannot_be_told(d: &GapDocument) -> Option<String> {
     ))
 }
 
-/// The rows of the table and the sentence on what can be told.
+/// A part of the budget in words.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct PartText {
+    /// Share of PV's variance, %; all parts sum to 100.
+    pub share_pct: f64,
+    /// Its standard deviation, PV units.
+    pub sd: f64,
+    /// What it is.
+    pub words: String,
+}
+
+/// A document's budget in words.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct BudgetText {
+    /// What the columns of the table are, and of how many points.
+    pub head: String,
+    /// The table.
+    pub parts: Vec<PartText>,
+    /// What limits the table.
+    pub limits: Vec<String>,
+}
+
+/// The budget in words, where the document has one.
+#[must_use]
+pub fn budget(d: &GapDocument) -> Option<BudgetText> {
+    let budget = d.budget.as_ref()?;
+    let part = |part: &PartNote| PartText { share_pct: part.share_pct, sd: part.sd, words: words(part) };
+    Some(BudgetText {
+        head: head(budget),
+        parts: budget.parts.iter().map(part).collect(),
+        limits: no_split(budget).into_iter().chain(smallest(budget)).collect(),
+    })
+}
+
+/// What the record can tell, and what would tell more.
+#[must_use]
+pub fn tellable(d: &GapDocument) -> Vec<String> {
+    d.tellable.iter().flat_map(|told| iter::once(predicted(told)).chain(helps(told))).collect()
+}
+
+/// The rows of the table and the sentences on what can be told.
 pub(super) fn rows(d: &GapDocument, row: &mut impl FnMut(&str, String)) {
-    if let Some(budget) = &d.budget {
-        row("budget", head(budget));
-        for part in &budget.parts {
-            row("", format!("{:>6.1} %  {:>9}  {}", part.share_pct, number(part.sd), words(part)));
+    if let Some(BudgetText { head, parts, limits }) = budget(d) {
+        row("budget", head);
+        for PartText { share_pct, sd, words } in parts {
+            row("", format!("{share_pct:>6.1} %  {:>9}  {words}", number(sd)));
         }
-        if let Some(why) = no_split(budget) {
-            row("", why);
-        }
-        if let Some(smallest) = smallest(budget) {
-            row("", smallest);
-        }
+        limits.into_iter().for_each(|limit| row("", limit));
     }
-    if let Some(told) = &d.tellable {
-        row("tellable", tellable(told));
-        if let Some(helps) = helps(told) {
-            row("", helps);
-        }
+    for (k, sentence) in tellable(d).into_iter().enumerate() {
+        row(if k == 0 { "tellable" } else { "" }, sentence);
     }
 }
 
@@ -105,7 +141,7 @@ fn smallest(budget: &BudgetNote) -> Option<String> {
     (!all.is_empty()).then(|| format!("optimistic estimate: {} or more would have been named", all.join(", and ")))
 }
 
-fn tellable(told: &TellableNote) -> String {
+fn predicted(told: &TellableNote) -> String {
     let structure = match told.structure.as_str() {
         "hardly" => "hardly tells",
         "partly" => "partly tells",
