@@ -155,7 +155,7 @@ fn made_of(budget: &BudgetText, tellable: &[String]) -> Markup {
                     }
                 }
             }
-            @for sentence in budget.limits.iter().chain(tellable) { p.soft { (sentence) } }
+            @for sentence in budget.limits.iter().chain(tellable) { p.soft { (text::sentence(sentence)) } }
         }
     }
 }

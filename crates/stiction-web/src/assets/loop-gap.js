@@ -56,7 +56,7 @@ function report(gap, words, row) {
       gap.second_cause ? item("Second cause", `${plain(gap.second_cause.id)} (p ${format.probability(gap.second_cause.probability)})`) : null,
       g ? item("Size of the gap", `${format.number(g.gap)} ${pv}, ${format.percent(g.relative)} of PV’s standard deviation; noise floor ${format.number(g.noise_floor)} ${pv}`) : null,
       gap.forward ? item("Forward prediction", `${format.number(gap.forward.gap_before)} before, ${format.number(gap.forward.gap_after)} ${pv} after`) : null,
-      gap.from_sp ? item("Closed loop from SP", `predicts ${format.percent(Math.max(0, gap.from_sp.base_pct / 100))} of PV’s variance${gap.from_sp.after_pct == null ? "" : `, with the cause ${format.percent(Math.max(0, gap.from_sp.after_pct / 100))}`}`) : null,
+      gap.from_sp ? item("Closed loop from SP", `predicts ${format.percent(Math.max(0, gap.from_sp.base_pct / 100))} of PV’s variance${gap.from_sp.after_pct == null ? "" : `, with the cause ${format.percent(Math.max(0, gap.from_sp.after_pct / 100))}`}; PV = SP would predict ${format.percent(Math.max(0, gap.from_sp.sp_pct / 100))}`) : null,
       gap.alternatives?.length ? item("Else", gap.alternatives.slice(0, 3).map((a) => `${plain(a.id)} (p ${format.probability(a.probability)})`).join(", ")) : null,
       test(gap.next_test),
       item("Section", `${format.recent(format.millis(gap.window.start))} to ${format.recent(format.millis(gap.window.end))}, base: ${gap.base.source === "linear" ? "a valve without friction" : "a sticking valve and a first-order process"}`)),

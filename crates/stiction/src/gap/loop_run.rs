@@ -192,22 +192,26 @@ pub fn from_sp(record: &Record, first: &FirstPart) -> Option<FromSp> {
     let swing = oscillation::detect(&rest.op(), &rest.pv).filter(|o| o.oscillating).map(|o| o.period_points);
     let averaged = |pv: &[f64]| moving_average(pv, swing.map_or(1, |points| points.round() as usize));
     let measured = averaged(&rest.pv);
+    let mean = stats::mean(&measured);
+    let spread: f64 = measured.iter().map(|y| (y - mean) * (y - mean)).sum();
+    let explained = |pv: &[f64]| {
+        let left: f64 = measured.iter().zip(averaged(pv)).map(|(y, x)| (y - x) * (y - x)).sum();
+        Some(100.0 * (1.0 - left / spread)).filter(|pct| pct.is_finite())
+    };
     let predicted = |model: &Model| {
         let [_, pv] = simulated(model, &reading, record, 0.0)?;
         // Points of the record may be means of scans, and no others were simulated than fit in.
-        let points: Vec<f64> = (0..record.len())
+        let points: Vec<f64> = (first.rest..record.len())
             .map(|k| [k, k + 1].map(|at| at * pv.len() / record.len()))
             .map(|[from, to]| stats::mean(&pv[from..to.max(from + 1).min(pv.len())]))
             .collect();
-        let left = measured.iter().zip(averaged(&points[first.rest..])).map(|(y, x)| (y - x) * (y - x));
-        let mean = stats::mean(&measured);
-        let spread: f64 = measured.iter().map(|y| (y - mean) * (y - mean)).sum();
-        Some(100.0 * (1.0 - left.sum::<f64>() / spread)).filter(|pct| pct.is_finite())
+        explained(&points)
     };
     let mut all = first.fits.iter().map(|fit| predicted(&fit.model));
     Some(FromSp {
         base_pct: all.next()??,
         after_pct: all.next().flatten(),
+        sp_pct: explained(rest.sp.as_deref()?)?,
         averaged_s: swing.map(|points| points * record.point_s()),
     })
 }

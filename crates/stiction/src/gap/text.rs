@@ -118,7 +118,8 @@ fn windows(d: &GapDocument) -> String {
 }
 
 /// Begins with a capital and ends with a full stop.
-fn sentence(text: &str) -> String {
+#[must_use]
+pub fn sentence(text: &str) -> String {
     let mut letters = text.chars();
     let first = letters.next().map(|c| c.to_uppercase().to_string()).unwrap_or_default();
     format!("{first}{}.", letters.as_str())
@@ -299,8 +300,10 @@ pub fn from_sp(f: &FromSp) -> String {
     let share = |pct: f64| if pct < 0.0 { "nothing".to_owned() } else { percent(pct) };
     let after = f.after_pct.map_or_else(String::new, |pct| format!(", with the cause {}", share(pct)));
     format!(
-        "the closed loop with the base, fitted to the first part, predicts {} of PV's variance in the rest{averaged}{after}",
-        share(f.base_pct)
+        "the closed loop with the base, fitted to the first part, predicts {} of PV's variance in the rest{averaged}{after}; \
+         PV = SP would predict {}",
+        share(f.base_pct),
+        share(f.sp_pct)
     )
 }
 

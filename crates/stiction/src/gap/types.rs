@@ -384,6 +384,8 @@ pub struct FromSp {
     pub base_pct: f64,
     /// The same with the cause.
     pub after_pct: Option<f64>,
+    /// The same were PV equal to SP: what any loop that follows its set point reaches.
+    pub sp_pct: f64,
     /// Time over which PV was averaged before, s: a limit cycle's phase cannot be predicted from SP.
     pub averaged_s: Option<f64>,
 }
