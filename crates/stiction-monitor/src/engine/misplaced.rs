@@ -24,6 +24,10 @@ const SAME_MOVES: f64 = 0.3;
 /// Share of OP that PV and its integral must explain for the controller to be looked for, and how many other loops are.
 const LIKELY_R2: f64 = 0.8;
 const MOST_READ: usize = 3;
+/// Pairs that are compared at most: some seconds. In a large plant a loop is compared with those next to it by name, where
+/// an exchanged tag is likeliest, and with so many to each side at least.
+const MOST_PAIRS: usize = 200_000;
+const LEAST_REACH: usize = 8;
 /// Longest integral time over the length of the record: a PV that merely follows OP shows no integral action.
 const LONGEST_INTEGRAL: f64 = 0.3;
 /// Correlation of OP and valve position from which the two have opposite signs: a stem that sticks lags by less.
@@ -82,11 +86,14 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// What is wrong with the signals of these loops; at most one finding for each.
+/// What is wrong with the signals of these loops, sorted by name; at most one finding for each.
 #[must_use]
 pub fn misplaced<'a>(loops: impl IntoIterator<Item = (&'a Arc<str>, &'a Record)>) -> Vec<(Arc<str>, Misplaced)> {
     let seen: Vec<Seen<'_>> = loops.into_iter().map(|(name, record)| Seen::new(name, record)).collect();
-    seen.iter().filter_map(|one| Some((one.name.clone(), of_one(one, &seen)?))).collect()
+    let reach = (MOST_PAIRS / (2 * seen.len().max(1))).max(LEAST_REACH);
+    let near = |at: usize| &seen[at.saturating_sub(reach)..(at + reach + 1).min(seen.len())];
+    let found = seen.iter().enumerate().map(|(at, one)| Some((one.name.clone(), of_one(one, near(at))?)));
+    found.flatten().collect()
 }
 
 fn of_one(one: &Seen<'_>, all: &[Seen<'_>]) -> Option<Misplaced> {
