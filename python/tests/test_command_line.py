@@ -88,7 +88,7 @@ def test_the_gap(
     found = stiction.diagnose(**columns(path), name=path.stem, **arguments)
     assert json.dumps(found.to_dict()) == json.dumps(told)
     assert (found.cause, found.probability) == (told["cause"]["id"], told["cause"]["probability"])
-    written, run = pd.read_csv(rows), found.predictions
+    written, run = pd.read_csv(rows, float_precision="round_trip"), found.predictions
     for column, values in (("pv", run.pv), ("pv_base", run.base), ("pv_after", run.after)):
         np.testing.assert_array_equal(written[column].to_numpy(), values)
     np.testing.assert_array_equal(written["held_out"].to_numpy() > 0, run.held_out)

@@ -18,6 +18,10 @@ fn helps(path: &[String]) -> Vec<(String, String)> {
     let mut arguments: Vec<&str> = path.iter().map(String::as_str).collect();
     arguments.push("--help");
     let output = stictiond(&arguments);
+    // A command that the bridge's build leaves out has no help of its own.
+    if String::from_utf8_lossy(&output.stderr).contains("this build has no OPC UA client") {
+        return Vec::new();
+    }
     assert!(output.status.success(), "{arguments:?}");
     let help = String::from_utf8(output.stdout).unwrap();
     let below: Vec<Vec<String>> = commands(&help).into_iter().map(|name| [path, &[name]].concat()).collect();
