@@ -206,7 +206,8 @@ def test_the_evidence_sheet_opens_and_prints(page):
 
 
 def test_a_diagnosis_that_somebody_else_asked_for_appears(plant, page):
-    answer = page.request.post(f"http://{plant.web}/api/v1{loop_path(LOOP)}/gap", data={"by": "Bob"}, timeout=90_000)
+    address = f"http://{plant.web}/api/v1{loop_path(LOOP)}/gap"
+    answer = page.request.post(address, headers={"X-Stictiond": "1", "Authorization": f"Bearer {plant.token}"}, data={"by": "Bob"}, timeout=90_000)
     assert answer.ok, answer.text()
     expect(part(page, "Gap: what the model misses")).to_contain_text("Which", timeout=60_000)
 

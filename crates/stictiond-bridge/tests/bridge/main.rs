@@ -28,17 +28,8 @@ fn a_wrong_command_line_is_refused_with_the_argument_that_is_wrong() {
 
 #[test]
 fn a_secret_that_cannot_be_read_fails_before_anything_is_connected() {
-    let output = bridge(&[
-        "mqtt",
-        "--from",
-        "mqtt://localhost:1",
-        "--topic",
-        "a/#",
-        "--user",
-        "u",
-        "--secret-file",
-        "/nowhere/pw",
-    ]);
+    let text = "mqtt --from mqtt://localhost:1 --topic a/# --connect tcp/localhost:1 --prefix p --user u --secret-file /nowhere/pw";
+    let output = bridge(&text.split(' ').collect::<Vec<_>>());
     assert_eq!(output.status.code(), Some(1), "{}", said(&output));
     assert!(said(&output).contains("/nowhere/pw"), "{}", said(&output));
 }
