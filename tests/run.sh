@@ -3,8 +3,8 @@
 # (python), reports and the page in a browser (tests/report, tests/page). What was skipped for want of something is said and
 # counted at the end.
 #
-# --all adds what takes long: the tests that cargo calls ignored, thirty simulated days by three seeds, five times the damaged
-# inputs, the soak (ten minutes), every view of the page by axe, the Debian package on a clean root (tests/package), and the
+# --all adds what takes long: the tests that cargo calls ignored, all loops of the statistical tests (the usual run takes a
+# third), thirty simulated days by three seeds, five times the damaged inputs, the soak (ten minutes), every view of the page by axe, the Debian package on a clean root (tests/package), and the
 # lints of the plain build, whose dependencies then compile once more.
 set -euo pipefail
 cd "$(dirname "$0")/.."
