@@ -4,8 +4,9 @@
 # counted at the end.
 #
 # --all adds what takes long: the tests that cargo calls ignored, all loops of the statistical tests (the usual run takes a
-# third), thirty simulated days by three seeds, five times the damaged inputs, the soak (ten minutes), every view of the page by axe, the Debian package on a clean root (tests/package), and the
-# lints of the plain build, whose dependencies then compile once more.
+# third), thirty simulated days by three seeds, five times the damaged inputs, the soak (ten minutes), every view of the page
+# by axe, the packages on a clean root (tests/package), and the lints of the plain build, whose dependencies then compile once
+# more.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 started=$SECONDS
