@@ -27,7 +27,6 @@ use serde::{Deserialize, Serialize};
 
 use dead::DeadLetters;
 use keep::{Change, Keep};
-#[cfg(feature = "deliver")]
 use queue::Queue;
 use stiction::units::format_rfc3339;
 use stiction_files::disk::{Disk, SystemDisk};
