@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::live::{Daemon, FAST, command_headers, http, ok, request, wait_for};
 
 const SCENARIO: &str = include_str!("../../recordings/scenarios/sticking.toml");
-/// The valve sticks until 08:33, is repaired at 09:00 and moves freely from 09:30 on.
+/// The valve sticks until 08:33 and is repaired at 09:00. After 09:30 it moves freely.
 const REPAIRED: &str = "2026-01-05T09:00:00Z";
 
 /// A recording of the loop, with the valve as it then is.
