@@ -5,43 +5,15 @@
 # Prints the package's path. The same program, sources and SOURCE_DATE_EPOCH (default: the last commit) give the same bytes.
 # DEBFULLNAME and DEBEMAIL name who answers for the package, DEB_REVISION counts packages of one version.
 set -euo pipefail
-caller=$PWD
-cd "$(dirname "$0")/.."
-target=${CARGO_TARGET_DIR:-target}
-binary=$target/release/stictiond
-out=$target/package
-
-fail() {
-    printf 'packaging/deb.sh: %s\n' "$*" >&2
-    exit 1
-}
-from_caller() {
-    cd "$caller" && realpath -m -- "$1"
-}
-
-while [ $# -gt 0 ]; do
-    case $1 in
-        --binary) binary=$(from_caller "${2:?--binary needs a path}"); shift 2 ;;
-        --out) out=$(from_caller "${2:?--out needs a folder}"); shift 2 ;;
-        *) fail "unknown argument $1; see the head of this script" ;;
-    esac
-done
+. "$(dirname "$0")/programs.sh"
 for tool in dpkg-deb strip readelf gzip; do
     command -v "$tool" >/dev/null || fail "$tool is missing (apt-get install dpkg binutils gzip)"
 done
-[ -x "$binary" ] || fail "$binary is missing: cargo build --release --locked --features full, or --binary PATH"
-
-version=$("$binary" --version | sed -n 's/^stictiond \([0-9][^ ]*\).*/\1/p')
-[ -n "$version" ] || fail "$binary does not say its version"
+take_programs
 # A pre-release sorts before its release in Debian's order only behind a tilde.
 version=${version/-/\~}-${DEB_REVISION:-1}
 maintainer="${DEBFULLNAME:-The stictiond authors} <${DEBEMAIL:-stictiond@packages.example}>"
-SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || stat -c %Y Cargo.toml)}
-export SOURCE_DATE_EPOCH
 architecture=$(dpkg --print-architecture)
-
-bridge=$(dirname "$binary")/stictiond-bridge
-[ -x "$bridge" ] || fail "$bridge is missing: cargo build --release --locked --features full makes both programs"
 
 # What the programs are linked to, named as Debian names it. A static program needs nothing.
 depends=adduser

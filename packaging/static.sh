@@ -5,28 +5,8 @@
 # `rustup target add x86_64-unknown-linux-musl` and musl-tools (a C compiler for ring and zstd); without --out the tarball is in
 # target/package. Prints its path. The same programs and SOURCE_DATE_EPOCH (default: the last commit) give the same bytes.
 set -euo pipefail
-caller=$PWD
-cd "$(dirname "$0")/.."
-target=${CARGO_TARGET_DIR:-target}
-binary=""
-out=$target/package
-
-fail() {
-    printf 'packaging/static.sh: %s\n' "$*" >&2
-    exit 1
-}
-from_caller() {
-    cd "$caller" && realpath -m -- "$1"
-}
-
-while [ $# -gt 0 ]; do
-    case $1 in
-        --binary) binary=$(from_caller "${2:?--binary needs a path}"); shift 2 ;;
-        --out) out=$(from_caller "${2:?--out needs a folder}"); shift 2 ;;
-        *) fail "unknown argument $1; see the head of this script" ;;
-    esac
-done
-if [ -z "$binary" ]; then
+. "$(dirname "$0")/programs.sh"
+if [ -z "$given" ]; then
     platform=$(uname -m)-unknown-linux-musl
     CARGO_INCREMENTAL=0 cargo build --release --locked --features full --target "$platform" >&2
     binary=$target/$platform/release/stictiond
@@ -34,13 +14,7 @@ if [ -z "$binary" ]; then
         fail "$binary is linked to libraries"
     fi
 fi
-bridge=$(dirname "$binary")/stictiond-bridge
-for program in "$binary" "$bridge"; do
-    [ -x "$program" ] || fail "$program is missing: --binary names stictiond, with stictiond-bridge beside it"
-done
-version=$("$binary" --version | sed -n 's/^stictiond \([0-9][^ ]*\).*/\1/p')
-[ -n "$version" ] || fail "$binary does not say its version"
-SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || stat -c %Y Cargo.toml)}
+take_programs
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

@@ -5,37 +5,11 @@
 # program stictiond-bridge is taken from beside it. Prints the wheel's path. The same programs and SOURCE_DATE_EPOCH (default:
 # the last commit) give the same bytes.
 set -euo pipefail
-caller=$PWD
-cd "$(dirname "$0")/.."
-target=${CARGO_TARGET_DIR:-target}
-binary=$target/release/stictiond
-out=$target/package
-
-fail() {
-    printf 'packaging/wheel.sh: %s\n' "$*" >&2
-    exit 1
-}
-from_caller() {
-    cd "$caller" && realpath -m -- "$1"
-}
-
-while [ $# -gt 0 ]; do
-    case $1 in
-        --binary) binary=$(from_caller "${2:?--binary needs a path}"); shift 2 ;;
-        --out) out=$(from_caller "${2:?--out needs a folder}"); shift 2 ;;
-        *) fail "unknown argument $1; see the head of this script" ;;
-    esac
-done
+. "$(dirname "$0")/programs.sh"
 for tool in strip readelf python3 openssl; do
     command -v "$tool" >/dev/null || fail "$tool is missing (apt-get install binutils python3 openssl)"
 done
-bridge=$(dirname "$binary")/stictiond-bridge
-for program in "$binary" "$bridge"; do
-    [ -x "$program" ] || fail "$program is missing: cargo build --release --locked --features full makes both programs"
-done
-version=$("$binary" --version | sed -n 's/^stictiond \([0-9][^ ]*\).*/\1/p')
-[ -n "$version" ] || fail "$binary does not say its version"
-SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || stat -c %Y Cargo.toml)}
+take_programs
 
 # pip takes a wheel only where the C library is as new as the programs need it. A static program runs with any.
 machine=$(uname -m)

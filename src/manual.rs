@@ -1,9 +1,8 @@
 //! `stictiond manual --out DIR`: man pages, one per command, from the same text as `--help`.
 
 use clap::CommandFactory;
-use serde_json::json;
 
-use super::{Cli, Format, Outcome, say};
+use super::{Cli, Format, Outcome};
 use stiction_command::manual::{self, ManualArgs};
 
 /// Write man pages, one per command.
@@ -20,10 +19,5 @@ pub struct Args {
 /// # Errors
 /// A page exists, or cannot be written.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    let pages = manual::write(Cli::command(), &args.to)?;
-    match format {
-        Format::Json => say(json!({"schema": "stictiond.manual.v1", "pages": pages}))?,
-        Format::Text => say(format!("{} man pages in {}", pages.len(), args.to.out.display()))?,
-    }
-    Ok(Outcome::Done)
+    manual::run(Cli::command(), &args.to, format)
 }

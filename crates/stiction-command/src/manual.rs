@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Command;
 pub use clap_complete::Shell;
+use serde_json::json;
+
+use crate::{Format, Outcome, say};
 
 /// Options of a program's `manual`.
 #[derive(Debug, clap::Args)]
@@ -17,11 +20,21 @@ pub struct ManualArgs {
     pub force: bool,
 }
 
-/// Writes a program's man pages, one per command. Returns their paths.
+/// Writes a program's man pages, one per command, and says where.
 ///
 /// # Errors
 /// A page exists, or cannot be written.
-pub fn write(command: Command, args: &ManualArgs) -> anyhow::Result<Vec<PathBuf>> {
+pub fn run(command: Command, args: &ManualArgs, format: Format) -> anyhow::Result<Outcome> {
+    let pages = write(command, args)?;
+    match format {
+        Format::Json => say(json!({"schema": "stictiond.manual.v1", "pages": pages}))?,
+        Format::Text => say(format!("{} man pages in {}", pages.len(), args.out.display()))?,
+    }
+    Ok(Outcome::Done)
+}
+
+/// Writes a program's man pages, one per command. Returns their paths.
+fn write(command: Command, args: &ManualArgs) -> anyhow::Result<Vec<PathBuf>> {
     let place = || args.out.display().to_string();
     let program = command.get_name().to_owned();
     std::fs::create_dir_all(&args.out).with_context(place)?;

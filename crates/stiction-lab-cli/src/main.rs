@@ -8,9 +8,8 @@ mod fleet;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use serde_json::json;
 use stiction_command::manual::{self, ManualArgs, Shell};
-use stiction_command::{Format, Outcome, OutputArgs, exit_code, log, parse, print, say};
+use stiction_command::{Outcome, OutputArgs, exit_code, log, parse, print};
 
 /// Check the gap diagnosis on withheld causes, and calibrate the classifier, the intervals and the rules for plants.
 ///
@@ -55,14 +54,7 @@ fn run(cli: &Cli) -> anyhow::Result<Outcome> {
         Command::Challenge(args) => challenge::run(args, format),
         Command::Calibrate(args) => calibrate::run(args, format),
         Command::Fleet => fleet::run(format),
-        Command::Manual(args) => {
-            let pages = manual::write(Cli::command(), args)?;
-            match format {
-                Format::Json => say(json!({"schema": "stictiond.manual.v1", "pages": pages}))?,
-                Format::Text => say(format!("{} man pages in {}", pages.len(), args.out.display()))?,
-            }
-            Ok(Outcome::Done)
-        }
+        Command::Manual(args) => manual::run(Cli::command(), args, format),
         Command::Completions { shell } => {
             print(&manual::completions(Cli::command(), *shell))?;
             Ok(Outcome::Done)

@@ -11,9 +11,8 @@ mod opcua;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use serde_json::json;
 use stiction_command::manual::{self, ManualArgs, Shell};
-use stiction_command::{Format, Outcome, OutputArgs, exit_code, log, parse, print, say};
+use stiction_command::{Outcome, OutputArgs, exit_code, log, parse, print};
 #[cfg(not(feature = "opcua"))]
 use stiction_command::{UsageError, other::RestArgs};
 
@@ -75,14 +74,7 @@ fn run(cli: &Cli) -> anyhow::Result<Outcome> {
             let how = "cargo install --path crates/stictiond-bridge --features opcua";
             Err(UsageError(format!("this build has no OPC UA client; rebuild with `{how}`")).into())
         }
-        Command::Manual(args) => {
-            let pages = manual::write(Cli::command(), args)?;
-            match format {
-                Format::Json => say(json!({"schema": "stictiond.manual.v1", "pages": pages}))?,
-                Format::Text => say(format!("{} man pages in {}", pages.len(), args.out.display()))?,
-            }
-            Ok(Outcome::Done)
-        }
+        Command::Manual(args) => manual::run(Cli::command(), args, format),
         Command::Completions { shell } => {
             print(&manual::completions(Cli::command(), *shell))?;
             Ok(Outcome::Done)

@@ -171,3 +171,25 @@ fn explained(op: &[f64], pv: &[f64]) -> f64 {
     }
     (po * (ii * po - pi * io) + io * (pp * io - pi * po)) / (det * oo)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_position_that_falls_while_op_rises_is_named_and_one_that_follows_is_not() {
+        let op: Vec<f64> = (0..600).map(|k| 50.0 + 5.0 * libm::sin(0.05 * f64::from(k))).collect();
+        let pv: Vec<f64> = (0..600).map(|k| 20.0 + libm::sin(0.05 * f64::from(k) - 0.7)).collect();
+        let name: Arc<str> = "FIC1".into();
+        let found = |mv: Vec<f64>| {
+            let record = Record { mv: Some(mv), ..Record::uniform(1.0, op.clone(), pv.clone()) };
+            misplaced([(&name, &record)])
+        };
+        let opposite = op.iter().map(|u| 100.0 - u).collect();
+        assert_eq!(found(opposite), [(name.clone(), Misplaced::OppositePosition)]);
+        // A stem that sticks comes later than OP, and stands between.
+        let sticks = (0..600).map(|k: i32| 50.0 + 5.0 * libm::sin(0.05 * f64::from(20 * (k / 20)) - 0.5)).collect();
+        assert_eq!(found(sticks), []);
+        assert_eq!(found(op.clone()), []);
+    }
+}
