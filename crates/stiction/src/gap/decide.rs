@@ -125,6 +125,12 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     if basis.skew.is_some() && has(skew) {
         return answer(skew, calibration.trace, By::Trace);
     }
+    // A load that the noise model has in both halves is named whatever the free run makes of it: a disturbance that wanders
+    // hides it there.
+    let acts = basis.acts.as_ref().filter(|id| has(id) && basis.by_mv != Some(Stage::Valve) && !basis.base_at_floor);
+    if let Some(load) = acts {
+        return answer(load, calibration.neighbour, By::Choice);
+    }
     // A measured load stands for itself where it leads and closes the gap where it was not fitted: the calibrated choice was
     // fitted to loops without neighbours.
     let measured = ranked.first().filter(|best| is_measured_load(basis, best));
@@ -339,6 +345,7 @@ mod tests {
             traces_close: [("swinging_door".to_owned(), 5.0)].into(),
             filter: false,
             floor_owes: [].into(),
+            acts: None,
             skew: None,
             noise,
             alone: None,
@@ -374,6 +381,23 @@ mod tests {
         );
         let made = said(overshoot(1.01, 3.0, 97.0));
         assert_eq!(made, ("slip_overshoot".to_owned(), Some(door), false), "the recorder made next to nothing of it");
+    }
+
+    #[test]
+    fn a_load_of_both_halves_is_named_but_where_the_base_or_the_valve_position_explains_pv() {
+        let load = "neighbour(F7)";
+        let said = |basis: Basis, without: &[&str]| {
+            let sinusoid = contender("sinusoid", 1.5, 1.0, 60.0);
+            decide(&Evidence { basis, contenders: vec![sinusoid] }, without, Calibration::shipped()).cause
+        };
+        let acts = || Basis { acts: Some(load.to_owned()), ..basis(&[]) };
+        let named = said(acts(), &[]);
+        assert_eq!((named.id.as_str(), named.stage), (load, Stage::Disturbance));
+        assert!((named.probability - Calibration::shipped().neighbour).abs() < 1e-12);
+        assert_ne!(said(acts(), &["neighbour"]).id, load);
+        assert_ne!(said(Basis { by_mv: Some(Stage::Valve), ..acts() }, &[]).id, load);
+        assert_ne!(said(Basis { base_at_floor: true, ..acts() }, &[]).id, load);
+        assert_ne!(said(basis(&[]), &[]).id, load);
     }
 
     fn contender(id: &str, over_floor: f64, evidence: f64, closed_pct: f64) -> Contender {

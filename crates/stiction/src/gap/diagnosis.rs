@@ -121,7 +121,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     work.begin(budget);
     let is_asked = !options.without.iter().any(|w| w == effects::neighbour::EFFECT.id);
     let others = if is_asked { &options.neighbours[..] } else { &[] };
-    let offered = neighbours::look(&problem, &found, others, &mut work);
+    let offered = neighbours::look(record, &problem, &found, others, &mut work);
     let mut rivals = Vec::new();
     for (with, search) in offered.as_ref().map(|o| o.fits.clone()).unwrap_or_default() {
         // The best one now counts as an effect like any other; the others are weighed alone.
@@ -153,7 +153,9 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let mut effects = weigh(&weighed, &found, filtered.as_ref(), options);
     effects.extend(rivals.iter().filter_map(|(with, search)| Scales { problem: with, ..weighed }.weigh(search)));
     effects.sort_by(|a, b| b.lead.total_cmp(&a.lead));
-    let basis = basis(record, &problem, &found, &base, &traces, &effects, &seen, &floor, owes, options);
+    let acts = offered.as_ref().and_then(|o| o.compared.acts.as_deref()).map(effects::neighbour::id_of);
+    let mut basis = basis(record, &problem, &found, &base, &traces, &effects, &seen, &floor, owes, options);
+    basis.acts = acts;
     let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
     let mut made = Diagnosis {
         relative_gap: base.gap / problem.deviation,
@@ -184,6 +186,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         noise_models: basis.noise,
         stages: seen.map(|s| s.stages),
         next_test: None,
+        loads: offered.as_ref().map(|o| o.loads.clone()).unwrap_or_default(),
         neighbours: offered.map(|o| o.compared),
         basis,
     };
@@ -317,6 +320,7 @@ fn basis(
             .collect(),
         filter: weighed.iter().any(|e| e.simulated && e.id == effects::sensor_filter::EFFECT.id),
         floor_owes,
+        acts: None,
         skew: skew.filter(|_| !left_out(effects::time_skew::EFFECT.id)),
         noise: noise::judge(problem, &of_base[0], &of_best, &slipped, options.seed),
         alone: noise::alone(problem, &of_base, &of_best, &slipped, options.seed),

@@ -382,10 +382,15 @@ impl GapDocument {
 }
 
 /// What the diagnosis knows for the budget: the base's valve and PV's noise.
-fn known(diagnosis: &Diagnosis) -> budget::Known {
+fn known(diagnosis: &Diagnosis) -> budget::Known<'_> {
     let valve = &diagnosis.base.model.valve;
     let rubs = valve.law == Law::He.name();
-    budget::Known { bands: rubs.then_some([valve.fs, valve.fd]), period: None, noise_sd: diagnosis.floor.noise_sd }
+    budget::Known {
+        bands: rubs.then_some([valve.fs, valve.fd]),
+        period: None,
+        noise_sd: diagnosis.floor.noise_sd,
+        loads: &diagnosis.loads,
+    }
 }
 
 impl Window {

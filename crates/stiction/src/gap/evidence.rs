@@ -33,6 +33,9 @@ pub struct Basis {
     /// By effect, the floor over the one that would be taken if nothing were known of it.
     #[serde(default)]
     pub floor_owes: BTreeMap<String, f64>,
+    /// The other loop's load that the noise model has in both halves.
+    #[serde(default)]
+    pub acts: Option<String>,
     /// Points by which the recorded OP is off the PV that it answers, where the controller says so.
     pub skew: Option<f64>,
     /// Noise models of the residual.
@@ -192,6 +195,7 @@ mod tests {
             traces_close: BTreeMap::new(),
             filter: true,
             floor_owes: BTreeMap::from([("sensor_filter".to_owned(), 3.0)]),
+            acts: None,
             skew: None,
             noise: models,
             alone: None,

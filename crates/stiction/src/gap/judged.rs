@@ -4,6 +4,7 @@ use super::decide::{self, Decision};
 use super::effects;
 use super::evidence::{Basis, Evidence};
 use super::model::Model;
+use super::neighbour::Load;
 use super::probability::{Calibration, Features};
 use super::types::{
     Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, FromSp, GapError, NONE, NextTest,
@@ -61,6 +62,8 @@ pub struct Diagnosis {
     pub basis: Basis,
     /// Comparison with other loops, where some were offered.
     pub neighbours: Option<Compared>,
+    /// Signals of other loops that may act on PV.
+    pub loads: Vec<Load>,
     /// What the cause's probability was made of, for calibrations.
     pub features: Features,
 }
@@ -158,6 +161,7 @@ impl Diagnosis {
         let closes = self.named().and_then(|e| e.closed_pct).is_none_or(|closed| closed > 0.0);
         let trace = closes && self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
         let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
-        self.cause.confirmed = trace || own || (self.cause.id == effects::time_skew::EFFECT.id);
+        let acts = self.basis.acts.as_ref() == Some(&self.cause.id);
+        self.cause.confirmed = trace || own || acts || (self.cause.id == effects::time_skew::EFFECT.id);
     }
 }

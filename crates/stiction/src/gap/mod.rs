@@ -55,6 +55,7 @@ pub use evidence::{Basis, Evidence};
 pub use given::check as check_model;
 pub use judged::Diagnosis;
 pub use neighbour::{Neighbour, NeighbourError};
+pub use neighbours::compare as compare_neighbours;
 pub use probability::Features;
 pub use sizes::Quantity;
 pub use types::*;

@@ -275,6 +275,8 @@ pub struct Compared {
     pub share: Option<f64>,
     /// Share of shifts in time at which the best of all loops tells as much; `None` in a record of few periods.
     pub p_value: Option<f64>,
+    /// The loop whose past the noise model has as a load in both halves of the record, where chance is rare enough.
+    pub acts: Option<String>,
     /// Loops that were fitted, best first: rare enough, and telling from their past, not from their future.
     pub fitted: Vec<String>,
 }

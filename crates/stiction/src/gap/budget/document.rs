@@ -130,7 +130,7 @@ impl BudgetNote {
                 gain_nats: Some(added.gain),
                 // What a recorder drew or held between two values may look like anything.
                 confirmed: Some(budget.confirmed[k] && recorder.is_empty()),
-                ..plain(added.shape.id(), split.effects[k])
+                ..plain(&added.shape.full_id(), split.effects[k])
             }
         };
         let hertz = |cycles: f64| Quantity { value: cycles / series.point_s, unit: "Hz".to_owned() };

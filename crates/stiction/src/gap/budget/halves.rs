@@ -1,6 +1,6 @@
 //! What the halves of a record say of an effect that was found in the whole.
 //!
-//! A drift, a bend or a sinusoid must be in both. A step, a ramp or wild values are local: the half around them must show
+//! A drift, a bend, a sinusoid or another loop's load must be in both. A step, a ramp or wild values are local: the half around them must show
 //! them by itself, and a noise model fitted to the rest of the record must predict the half better with them than without.
 
 use super::arx::{Design, Fit, START};
@@ -33,7 +33,7 @@ pub fn confirm(model: &Model, searched: &Searched, effect: usize) -> bool {
     let halves = [Stretch { from: 0, to: n / 2 }, Stretch { from: n / 2, to: n }];
     let one = Judged { model, searched, effect };
     match &searched.added[effect].shape {
-        Shape::Drift | Shape::Bend | Shape::Sinusoid(_) => {
+        Shape::Drift | Shape::Bend | Shape::Sinusoid(_) | Shape::Neighbour(..) => {
             let found = halves.map(|half| one.found(half));
             matches!(found, [Some(first), Some(second)] if agree(&first, &second))
         }
@@ -93,9 +93,14 @@ impl Judged<'_> {
             return None;
         }
         let order = self.model.base.order();
-        let without = design.fit(order, &others, Some(&self.model.base))?;
+        // Poles that were fitted without another loop's load have swallowed much of its cycle.
+        let from = match self.searched.added[self.effect].shape {
+            Shape::Neighbour(..) => &self.searched.fit,
+            _ => &self.model.base,
+        };
+        let without = design.fit(order, &others, Some(from))?;
         let all: Vec<Vec<f64>> = others.iter().chain(&own).cloned().collect();
-        let with = design.fit(order, &all, Some(&self.model.base))?;
+        let with = design.fit(order, &all, Some(from))?;
         let gain = with.log_likelihood() - without.log_likelihood();
         let shape = match &self.searched.added[self.effect].shape {
             Shape::Outliers(at) => Shape::Outliers(at.iter().copied().filter(|k| stretch.holds(*k)).collect()),

@@ -3,8 +3,8 @@
 //!
 //! The free run of [`crate::gap::diagnose`] asks whether one effect brings the model down to the noise. A real loop's
 //! disturbance wanders, so that none does. Here effects are judged by one-step predictions of a noise model ([`arx`]), added
-//! one by one ([`search`]), asked of both halves ([`halves`]) and put into one sum ([`parts`]). The budget never changes which
-//! effect the free run names.
+//! one by one ([`search`]), asked of both halves ([`halves`]) and put into one sum ([`parts`]). Of what the
+//! free run names the budget changes nothing, but for another loop's load that both halves confirm.
 
 pub mod arx;
 pub mod document;
@@ -17,6 +17,7 @@ pub mod shapes;
 mod smallest;
 mod student;
 
+use super::neighbour::Load;
 use crate::record::Record;
 use parts::Split;
 use search::{Model, Searched};
@@ -24,13 +25,15 @@ use series::Series;
 
 /// What is known of a record before.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Known {
+pub struct Known<'a> {
     /// Static and kinetic band of He's valve, OP units.
     pub bands: Option<[f64; 2]>,
     /// Period of the oscillation, points.
     pub period: Option<f64>,
     /// Standard deviation of PV's noise, PV units.
     pub noise_sd: Option<f64>,
+    /// Signals of other loops that may act on PV, at the record's points.
+    pub loads: &'a [Load],
 }
 
 /// The budget of a record.
@@ -55,12 +58,12 @@ pub struct Budget {
 impl Budget {
     /// Splits a record; `None` where it is too short, OP or PV does not move, or no noise model can be fitted.
     #[must_use]
-    pub fn of(record: &Record, known: Known) -> Option<Self> {
+    pub fn of(record: &Record, known: Known<'_>) -> Option<Self> {
         let finite = |x: &[f64]| x.iter().all(|v| v.is_finite());
         if !finite(&record.pv) || !finite(&record.op_path) {
             return None;
         }
-        let series = Series::of(record, known.bands, known.period)?;
+        let series = Series::of(record, known.bands, known.period)?.with_loads(known.loads);
         let model = Model::of(&series)?;
         let searched = search::search(&series, &model);
         let confirmed = (0..searched.added.len()).map(|k| halves::confirm(&model, &searched, k)).collect();
@@ -165,6 +168,40 @@ mod tests {
         let model = Model::of(&series).unwrap();
         let names: usize = (0..20).filter(|seed| !named(&model.resampled(&series, *seed)).is_empty()).count();
         assert!(names <= 1, "{names} of 20");
+    }
+
+    /// A loop's signal whose cycle wanders, as a load.
+    fn wandering(seed: u64) -> Load {
+        let (mut noise, mut phase) = (Noise::new(seed, 4), 0.0);
+        let values: Vec<f64> = (0..N)
+            .map(|_| {
+                phase += (1.0 + 0.3 * noise.gaussian()) * core::f64::consts::TAU / 60.0;
+                5.0 * libm::sin(phase) + 0.2 * noise.gaussian()
+            })
+            .collect();
+        Load::new("F7", false, &values, 0.01)
+    }
+
+    /// The budget's row of a load that acts on PV with this size.
+    fn row_of_load(load: &Load, acts: impl Fn(usize) -> f64) -> Option<document::PartNote> {
+        let (mut record, _) = Loop::default().run(3);
+        let behind = load.behind(6.0, 4.0, N);
+        record.pv.iter_mut().zip(&behind).enumerate().for_each(|(k, (y, x))| *y += acts(k) * x);
+        let budget = Budget::of(&record, Known { loads: core::slice::from_ref(load), ..Known::default() }).unwrap();
+        document::BudgetNote::of(&budget, &[]).parts.into_iter().find(|part| part.id == "neighbour(F7)")
+    }
+
+    #[test]
+    fn another_loops_load_is_a_part_with_its_lag_where_both_halves_have_it() {
+        let load = wandering(2);
+        let row = row_of_load(&load, |_| 0.6).unwrap();
+        let size = |name: &str| row.parameters[name].value;
+        assert_eq!(row.confirmed, Some(true));
+        assert!((size("lag") + size("dead_time") - 10.0).abs() < 3.0, "{row:?}");
+        assert!((size("gain") * load.deviation - 0.6).abs() < 0.15 && row.gain_nats.unwrap() > 20.0, "{row:?}");
+        assert!(row_of_load(&load, |_| 0.0).is_none());
+        let half = row_of_load(&load, |k| if k < N / 2 { 0.6 } else { 0.0 });
+        assert!(half.is_none_or(|row| row.confirmed == Some(false)));
     }
 
     #[test]

@@ -1,11 +1,14 @@
 //! Which place, onset or frequency of an effect is worth a fit: its columns, as the noise model sees them and less what the
 //! fit has already, against the innovations.
 
+use std::sync::Arc;
+
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::arx::{Fit, START, whitened};
 use super::series::Series;
 use super::shapes::{Shape, wave};
+use crate::gap::neighbour::Load;
 use crate::signal::stats;
 
 /// Innovations beyond which they are cut, scales: one wild value must not tell all.
@@ -31,6 +34,10 @@ const WILD: f64 = 6.0;
 const NEAR: usize = 3;
 const FEWEST_WILD: usize = 3;
 const MOST_WILD: f64 = 0.04;
+/// Lags and dead times of another loop's signal, periods.
+const LAGS: [f64; 5] = [0.01, 0.05, 0.1, 0.2, 0.35];
+const DEAD_TIMES: usize = 13;
+const LAST_DEAD_TIME: f64 = 0.5;
 /// Part of a column's power that must be new.
 const NEW: f64 = 1e-7;
 
@@ -198,6 +205,25 @@ impl<'f> Scan<'f> {
         best(found, most, apart).into_iter().map(Shape::Sinusoid).collect()
     }
 
+    /// The most promising `most` places of each load, no sooner than a point behind it.
+    #[must_use]
+    pub fn neighbours(&self, series: &Series, most: usize) -> Vec<Shape> {
+        let dead_time = |i: usize| LAST_DEAD_TIME * series.period * i as f64 / (DEAD_TIMES - 1) as f64;
+        let places: Vec<[f64; 2]> = LAGS
+            .iter()
+            .flat_map(|lag| (0..DEAD_TIMES).map(move |i| [lag * series.period, dead_time(i).max(1.0)]))
+            .collect();
+        let of_load = |load: &Arc<Load>| {
+            let score = |place: &[f64; 2]| {
+                let column = load.behind(place[0], place[1], self.n);
+                (self.gain_of(&whitened(&self.fit.a, &column)[START..]), *place)
+            };
+            let found = best(places.iter().map(score).collect(), most, |_, _| true);
+            found.into_iter().map(|place| Shape::Neighbour(Arc::clone(load), place)).collect::<Vec<_>>()
+        };
+        series.loads.iter().flat_map(of_load).collect()
+    }
+
     /// Wild values, by the innovations that one leaves behind; `None` where there are too few or too many.
     #[must_use]
     pub fn outliers(&self) -> Option<Shape> {
@@ -225,6 +251,7 @@ impl<'f> Scan<'f> {
             Shape::Step(_) => self.onsets().len(),
             Shape::Ramp(_) => RAMPS,
             Shape::Sinusoid(_) => frequencies,
+            Shape::Neighbour(..) => LAGS.len() * DEAD_TIMES,
             Shape::Drift | Shape::Bend | Shape::Outliers(_) => 1,
         }
     }

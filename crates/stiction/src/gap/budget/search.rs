@@ -163,12 +163,16 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
     });
     let low = low.flatten();
     let frequencies = scan.frequencies(series);
-    let shapes = candidates(&scan, low.as_ref().and_then(|fit| Scan::new(fit, n)).as_ref(), &frequencies);
+    let shapes = candidates(series, &scan, low.as_ref().and_then(|fit| Scan::new(fit, n)).as_ref(), &frequencies);
     let there = |shape: &Shape| so_far.added.iter().any(|a| is_same(shape, &a.shape, n));
     let try_one = |shape: Shape| {
         let mut columns = so_far.columns.clone();
         columns.extend(model.columns(&shape));
-        let fit = refit(model, &columns, low.as_ref().filter(|_| matches!(shape, Shape::Sinusoid(_))))?;
+        let fit = refit(
+            model,
+            &columns,
+            low.as_ref().filter(|_| matches!(shape, Shape::Sinusoid(_) | Shape::Neighbour(..))),
+        )?;
         let cost = shape.cost(n, scan.tried(&shape, frequencies.len()));
         let gain = fit.log_likelihood() - so_far.fit.log_likelihood() - cost;
         Some(Tried { shape, gain, columns, fit })
@@ -192,12 +196,12 @@ pub(super) fn is_same(shape: &Shape, there: &Shape, n: usize) -> bool {
     match (shape, there) {
         (Shape::Step(_), Shape::Step(_)) => shape == there,
         (Shape::Sinusoid(own), Shape::Sinusoid(other)) => (own - other).abs() < APART / n as f64,
-        _ => shape.id() == there.id(),
+        _ => shape.full_id() == there.full_id(),
     }
 }
 
 /// The shapes that are worth a fit.
-fn candidates(scan: &Scan<'_>, low: Option<&Scan<'_>>, frequencies: &[f64]) -> Vec<Shape> {
+fn candidates(series: &Series, scan: &Scan<'_>, low: Option<&Scan<'_>>, frequencies: &[f64]) -> Vec<Shape> {
     let [alone, beside, of_low] = REFITTED;
     let most = if low.is_some() { beside } else { alone };
     let mut out = vec![Shape::Drift, Shape::Bend];
@@ -213,6 +217,7 @@ fn candidates(scan: &Scan<'_>, low: Option<&Scan<'_>>, frequencies: &[f64]) -> V
         add(scan.steps(most));
         add(scan.ramps(most));
         add(scan.sinusoids(frequencies, most));
+        add(scan.neighbours(series, most));
     }
     add(scan.outliers().into_iter().collect());
     out

@@ -1,5 +1,8 @@
 //! The record as the budget sees it: PV standardised, at most some nine hundred points, and what drives it.
 
+use std::sync::Arc;
+
+use crate::gap::neighbour::Load;
 use crate::gap::problem::period_of;
 use crate::record::Record;
 use crate::signal::{detrend, stats};
@@ -35,6 +38,8 @@ pub struct Series {
     pub from: usize,
     /// Time between points, s.
     pub point_s: f64,
+    /// Signals of other loops that may act on PV.
+    pub loads: Vec<Arc<Load>>,
 }
 
 impl Series {
@@ -73,7 +78,21 @@ impl Series {
             box_points,
             from,
             point_s: record.point_s() * box_points as f64,
+            loads: Vec::new(),
         })
+    }
+
+    /// The same with loads that are given at the record's points; those that rest in the series are left out.
+    #[must_use]
+    pub fn with_loads(mut self, loads: &[Load]) -> Self {
+        let boxed = |load: &Load| {
+            let values = detrend::box_means(load.values.get(self.from..)?, self.box_points);
+            let own = Load::new(&load.name, load.from_op, values.get(..self.n())?, load.p_value);
+            let deviation = own.deviation * load.deviation;
+            deviation.is_normal().then(|| Arc::new(Load { deviation, ..own }))
+        };
+        self.loads = loads.iter().filter_map(boxed).collect();
+        self
     }
 
     /// Number of points.

@@ -2,9 +2,11 @@
 
 use core::f64::consts::PI;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use super::series::Series;
 use crate::gap::effects;
+use crate::gap::neighbour::Load;
 use crate::gap::sizes::Quantity;
 
 /// An effect with what is not fitted linearly.
@@ -22,6 +24,8 @@ pub enum Shape {
     Bend,
     /// Single wild values at these points.
     Outliers(Vec<usize>),
+    /// Another loop's signal behind a first-order lag and a dead time, points.
+    Neighbour(Arc<Load>, [f64; 2]),
 }
 
 impl Shape {
@@ -35,6 +39,16 @@ impl Shape {
             Self::Drift => effects::gain_drift::EFFECT.id,
             Self::Bend => effects::static_nonlinearity::EFFECT.id,
             Self::Outliers(_) => effects::outliers::EFFECT.id,
+            Self::Neighbour(..) => effects::neighbour::EFFECT.id,
+        }
+    }
+
+    /// Its id with the name of the neighbour.
+    #[must_use]
+    pub fn full_id(&self) -> String {
+        match self {
+            Self::Neighbour(load, _) => effects::neighbour::id_of(&load.name),
+            _ => self.id().to_owned(),
         }
     }
 
@@ -52,6 +66,7 @@ impl Shape {
                 vec![of(&|k| driven[k] * driven[k] - mean)]
             }
             Self::Outliers(at) => at.iter().map(|at| of(&|k| f64::from(u8::from(k == *at)))).collect(),
+            Self::Neighbour(load, [lag, dead_time]) => vec![load.behind(*lag, *dead_time, n)],
         }
     }
 
@@ -93,6 +108,13 @@ impl Shape {
                 let share = 1e3 * at.len() as f64 / series.n() as f64;
                 vec![("per_thousand", share, "1"), ("size", mean * deviation, "PV")]
             }
+            Self::Neighbour(load, [lag, dead_time]) => vec![
+                ("lag", lag * series.point_s, "s"),
+                ("dead_time", dead_time * series.point_s, "s"),
+                ("gain", first * deviation / load.deviation, if load.from_op { "PV/OP" } else { "PV/PV" }),
+                ("from_op", f64::from(u8::from(load.from_op)), "1"),
+                ("p_value", load.p_value, "1"),
+            ],
         };
         let quantity = |value, unit: &str| Quantity { value, unit: unit.to_owned() };
         sizes.into_iter().map(|(name, value, unit)| (name.to_owned(), quantity(value, unit))).collect()

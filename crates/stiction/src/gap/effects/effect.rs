@@ -229,9 +229,15 @@ impl Effect {
     #[must_use]
     pub fn id_in(&self, problem: &Problem) -> String {
         match &problem.neighbour {
-            Some(load) if self.way == Way::Neighbour => format!("{}({})", self.id, load.name),
+            Some(load) if self.way == Way::Neighbour => self.id_of(&load.name),
             _ => self.id.to_owned(),
         }
+    }
+
+    /// Its id with the name of a loop.
+    #[must_use]
+    pub fn id_of(&self, name: &str) -> String {
+        format!("{}({name})", self.id)
     }
 
     /// One that is simulated, bound to the valve signal and without parameters.

@@ -42,6 +42,12 @@ pub const EFFECT: Effect = Effect {
     ..Effect::simulated("neighbour", Stage::Disturbance)
 };
 
+/// The id of the load of a loop of this name.
+#[must_use]
+pub fn id_of(name: &str) -> String {
+    EFFECT.id_of(name)
+}
+
 /// Shortest lag, points: a third of a raw sample.
 fn shortest(problem: &Problem) -> f64 {
     0.3 / problem.box_samples

@@ -1,16 +1,21 @@
-//! The neighbours that explain most of what the base leaves, each fitted together with the base.
+//! The neighbours that tell most of PV: judged under the noise model, and each fitted together with the base.
 
 use std::sync::Arc;
 
+use super::super::budget::{Budget, Known};
 use super::super::candidate::MAX_PARAMS;
-use super::super::effects::neighbour::EFFECT;
+use super::super::effects::neighbour::{EFFECT, id_of};
+use super::super::express;
 use super::super::neighbour::{Load, Neighbour};
-use super::super::problem::Problem;
+use super::super::problem::{Problem, period_of};
 use super::super::schedule::{Found, Work, look_again};
 use super::super::search::{FIRST, Search, exchange, local_search};
+use super::super::signatures;
 use super::super::structure::Structure;
 use super::super::types::Compared;
 use super::scan::{Hit, Scan};
+use crate::record::Record;
+use crate::sim::slips::Law;
 
 /// p-value up to which a neighbour is fitted.
 const RARE: f64 = 0.05;
@@ -30,37 +35,74 @@ const STREAM: u64 = 400;
 pub(in crate::gap) struct Offered {
     /// For documents.
     pub compared: Compared,
+    /// The signals that were judged.
+    pub loads: Vec<Load>,
     /// Best first, each with the problem that has its signal; one for each neighbour.
     pub fits: Vec<(Problem, Search)>,
 }
 
 /// Scans the neighbours and fits the best of them; `None` where there are none.
 pub(in crate::gap) fn look(
+    record: &Record,
     problem: &Problem,
     found: &Found,
     neighbours: &[Neighbour],
     work: &mut Work<'_>,
 ) -> Option<Offered> {
+    let base = express::fit(problem, &found.base, None, &|_| {});
+    let valve = base.map(|base| base.model.valve).filter(|valve| valve.law == Law::He.name());
+    let bands = valve.map(|valve| [valve.fs, valve.fd]);
+    let (mut compared, loads) = judged(record, problem, neighbours, bands, work.seed)?;
+    let fits = fitted(problem, found, loads.clone(), work);
+    compared.fitted = fits.iter().filter_map(|(own, _)| Some(own.neighbour.as_ref()?.name.clone())).collect();
+    Some(Offered { compared, loads, fits })
+}
+
+/// Compares a record with neighbours without a search for its base, so that OP stands for the stem; nothing is fitted together.
+/// `None` where there are no neighbours. `period` is that of the oscillation, points.
+#[must_use]
+pub fn compare(record: &Record, neighbours: &[Neighbour], period: Option<f64>, seed: u64) -> Option<Compared> {
+    let traces = signatures::traces(record, period.unwrap_or_else(|| period_of(record).0), &[]);
+    let problem = Problem::new(record, period, seed, traces.masked.clone()).fitted_where(&traces.measured);
+    judged(record, &problem, neighbours, None, seed).map(|(compared, _)| compared)
+}
+
+/// What the scan tells, which signals are rare enough to be judged, and which of them the noise model has in both halves.
+fn judged(
+    record: &Record,
+    problem: &Problem,
+    neighbours: &[Neighbour],
+    bands: Option<[f64; 2]>,
+    seed: u64,
+) -> Option<(Compared, Vec<Load>)> {
     if neighbours.is_empty() {
         return None;
     }
     let scan = Scan::new(problem, neighbours);
     let hits = scan.hits();
-    let name = |hit: &Hit| neighbours[hit.neighbour].name.clone();
-    let mut compared = Compared {
+    let p_value = scan.p_value(seed);
+    let loads = p_value.filter(|p| *p <= RARE).map_or_else(Vec::new, |p| chosen(neighbours, &hits, p));
+    let compared = Compared {
         offered: neighbours.len(),
-        best: hits.first().map(name),
+        best: hits.first().map(|hit| neighbours[hit.neighbour].name.clone()),
         share: hits.first().map(|hit| hit.share),
-        p_value: scan.p_value(work.seed),
+        p_value,
+        acts: acting(record, bands, &loads),
         fitted: Vec::new(),
     };
-    let rare = compared.p_value.filter(|p| *p <= RARE);
-    let fits = rare.map_or_else(Vec::new, |p_value| {
-        let chosen = chosen(neighbours, &hits, p_value);
-        fitted(problem, found, chosen, work)
-    });
-    compared.fitted = fits.iter().filter_map(|(own, _)| Some(own.neighbour.as_ref()?.name.clone())).collect();
-    Some(Offered { compared, fits })
+    Some((compared, loads))
+}
+
+/// The load that gains most under the noise model, where both halves confirm it.
+fn acting(record: &Record, bands: Option<[f64; 2]>, loads: &[Load]) -> Option<String> {
+    if loads.is_empty() {
+        return None;
+    }
+    let budget = Budget::of(record, Known { bands, loads, ..Known::default() })?;
+    let added = budget.searched.added.iter().zip(&budget.confirmed);
+    let mut confirmed = added.filter(|(_, confirmed)| **confirmed).map(|(added, _)| added.shape.full_id());
+    let first = confirmed.find(|id| loads.iter().any(|load| id_of(&load.name) == *id))?;
+    loads.iter().find(|load| id_of(&load.name) == first).map(|load| load.name.clone())
 }
 
 /// The signals that tell nearly as much as the best one, each from its past, as loads.

@@ -39,8 +39,10 @@ impl Claim {
         let Some(closed) = e.closed_pct else {
             return if d.cause.confirmed { Self::Shows } else { Self::Suspected };
         };
-        // What leaves a trace in PV is there, however little it closes; what was fitted is only there if it closes.
-        if closed < HARDLY && e.at_floor.is_none() {
+        // What leaves a trace in PV, or acts in both halves, is there, however little it closes; what was fitted is only there
+        // if it closes.
+        let acts = d.neighbours.as_ref().and_then(|n| n.acts.as_deref()).map(effects::neighbour::id_of);
+        if closed < HARDLY && (e.at_floor.is_none() || acts.as_ref() == Some(&e.id)) {
             return Self::Hardly;
         }
         if !d.cause.confirmed || closed < HARDLY {
