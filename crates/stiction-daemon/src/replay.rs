@@ -21,7 +21,8 @@ use stiction_monitor::codec::decode_recorded;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{
-    Engine, EngineSettings, Event, GapRequest, LoopId, LoopWindow, RecordedInput, Request, SkipReason, StateDocument,
+    Engine, EngineSettings, Event, GapRequest, LoopId, LoopWindow, RecordedInput, RecordedNeighbour, Request,
+    SkipReason, StateDocument,
 };
 
 /// A document that replay made.
@@ -196,6 +197,13 @@ impl Replay {
             RecordedInput::GapRun { by, .. } => {
                 // A run that was recorded was not refused.
                 let _ = self.engine.run_gap(id, by.as_deref(), &mut self.events);
+            }
+            RecordedInput::GapNeighbours { number, neighbours } => {
+                if let Some((request, _)) =
+                    self.gaps.entry(id).or_default().iter_mut().find(|(r, _)| r.number == number)
+                {
+                    request.neighbours = neighbours.iter().map(RecordedNeighbour::neighbour).collect();
+                }
             }
             RecordedInput::GapSkip { number, reason } => {
                 self.gaps.entry(id).or_default().retain(|(r, _)| r.number != number);

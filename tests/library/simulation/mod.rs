@@ -4,6 +4,7 @@
 //!
 //! `STICTIOND_SEED=N` runs one seed (a failure names its own), `STICTIOND_SEEDS=N` so many, `STICTIOND_SIM_DAYS=N` so long.
 
+mod beside;
 mod control;
 mod disk;
 mod edits;

@@ -4,7 +4,9 @@ use super::super::gaps::{self, Diagnosed, Outcome};
 use super::{Core, to_json};
 use stiction_monitor::alarm::{AlarmDocument, Command, CommandError};
 use stiction_monitor::codec::topic::Kind;
-use stiction_monitor::engine::{Checkpoint, GapRefusal, GapRequest, LoopId, RecordedInput, SkipReason, StateDocument};
+use stiction_monitor::engine::{
+    Checkpoint, GapRefusal, GapRequest, LoopId, RecordedInput, RecordedNeighbour, SkipReason, StateDocument,
+};
 use stiction_runtime::control::{Answer, WindowSnapshot};
 
 impl Core {
@@ -134,8 +136,15 @@ impl Core {
         answer(Err(why.to_owned()));
     }
 
-    pub(super) fn request_gap(&mut self, request: GapRequest) {
+    /// Starts a diagnosis, beside the loops that may act on its loop.
+    pub(super) fn request_gap(&mut self, mut request: GapRequest) {
         let (id, number) = (request.id, request.number);
+        let neighbours = self.engine.beside(&request);
+        if !neighbours.is_empty() {
+            request.neighbours = neighbours.iter().map(RecordedNeighbour::neighbour).collect();
+            let input = RecordedInput::GapNeighbours { number, neighbours };
+            self.record(id, Kind::Input, &input, request.record.end_ns);
+        }
         if self.diagnoser.requests.try_send(request).is_err() {
             self.skip_gap(id, number, SkipReason::QueueFull, "too many diagnoses wait already");
         }

@@ -64,7 +64,7 @@ fn diagnosed(record: &Record, evaluations: u64) -> Option<(Diagnosis, GapOptions
 /// What a budget names, and whether the halves confirm it.
 type Names = Vec<(&'static str, bool)>;
 
-fn names(record: &Record, known: Known) -> Names {
+fn names(record: &Record, known: Known<'_>) -> Names {
     let found = Budget::of(record, known);
     found
         .iter()

@@ -42,6 +42,11 @@ impl Snapshot {
         choose_record(self.history.at(self.total), params, self.end_ns)
     }
 
+    /// The record from a time on, in the smallest bins that fit a window. `None` where nothing is held.
+    pub(super) fn since(&self, from_ns: i64) -> Option<Record> {
+        self.history.at(self.total).record(from_ns, self.end_ns)
+    }
+
     /// Bytes that it takes once it shares nothing with its loop any more.
     #[must_use]
     pub fn bytes(&self) -> usize {

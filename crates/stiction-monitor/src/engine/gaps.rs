@@ -20,7 +20,7 @@ use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
 use stiction::gap::locate::{Subject, locate};
 use stiction::gap::model::{self, Model};
-use stiction::gap::{self, Base, Executor, GapError, GapOptions};
+use stiction::gap::{self, Base, Executor, GapError, GapOptions, Neighbour};
 use stiction::ident::free_run::{Fixed, free_run};
 use stiction::record::Record;
 use stiction::signal::stats;
@@ -248,6 +248,8 @@ pub struct GapRequest {
     pub record: Arc<Record>,
     /// The loop's accepted model, if it has one.
     pub model: Option<Model>,
+    /// Other loops on the record's grid, each a possible load.
+    pub neighbours: Vec<Neighbour>,
     /// Model responses that it may compute.
     pub budget_evaluations: u64,
     /// Hash of the configuration.
@@ -264,8 +266,13 @@ impl GapRequest {
     pub fn compute(&self, executor: &dyn Executor) -> Result<PublishedGap, GapError> {
         let base = self.model.clone().map_or(Base::Refit, |model| Base::Given(Box::new(model)));
         let period_points = oscillation::detect(&self.record.op(), &self.record.pv).map(|o| o.period_points);
-        let options =
-            GapOptions { base, period_points, budget_evaluations: self.budget_evaluations, ..GapOptions::default() };
+        let options = GapOptions {
+            base,
+            period_points,
+            budget_evaluations: self.budget_evaluations,
+            neighbours: self.neighbours.clone(),
+            ..GapOptions::default()
+        };
         let diagnosis = gap::diagnose(&self.record, &options, executor)?;
         diagnosis.check_base()?;
         let location = locate(&self.record, &Subject::of(&diagnosis, period_points, options.seed));

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::beside::RecordedNeighbour;
 use super::{Checkpoint, GroupStanding, SkipReason};
 use crate::alarm::Command;
 
@@ -31,6 +32,13 @@ pub enum RecordedInput {
         number: u64,
         /// Who asked.
         by: Option<String>,
+    },
+    /// Other loops that a gap diagnosis is given.
+    GapNeighbours {
+        /// Its place among the loop's diagnoses.
+        number: u64,
+        /// The loops.
+        neighbours: Vec<RecordedNeighbour>,
     },
     /// A gap diagnosis that was not made.
     GapSkip {

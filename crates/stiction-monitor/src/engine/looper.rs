@@ -252,6 +252,7 @@ impl Loop {
             by,
             record,
             model,
+            neighbours: Vec::new(),
             budget_evaluations: self.settings.gap.budget_evaluations,
             config_hash: hash.clone(),
             daemon: None,

@@ -6,6 +6,7 @@
 //! loop in the order of the windows, so everything after them depends on that order and on event time alone.
 //! Gap diagnoses leave as [`GapRequest`]s of their own; see [`gaps`] for when.
 
+mod beside;
 mod due;
 pub mod gaps;
 mod input;
@@ -27,6 +28,7 @@ use stiction::record::Sample;
 use stiction::signal::align::{AlignCounts, Aligner};
 use stiction::verdict::EstimateDocument;
 
+pub use beside::RecordedNeighbour;
 pub use due::{Request, Snapshot, WindowAnswer};
 pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};

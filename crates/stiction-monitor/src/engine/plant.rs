@@ -11,8 +11,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::LoopSettings;
 use super::misplaced::{Misplaced, misplaced};
+use super::{LoopSettings, beside};
 use crate::alarm::LoopContext;
 use crate::hash::short_hash;
 use stiction::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
@@ -211,6 +211,9 @@ pub struct GroupStanding {
     pub period_s: f64,
     /// Whether the loop's own finding is held back: it follows another loop whose alarm is active or about to be raised.
     pub holds: bool,
+    /// The other members, the source first: as many as a gap diagnosis takes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) beside: Vec<String>,
     /// Windows for which it still holds.
     windows_left: u8,
 }
@@ -221,10 +224,17 @@ impl GroupStanding {
     pub fn of_members(group: &GroupDocument, alarms: impl Fn(&str) -> bool) -> Vec<Self> {
         let source = group.source.loop_name.as_deref().filter(|_| group.source.kind == SourceKind::Loop);
         let is_active = source.is_some_and(alarms);
+        let members = group.judgements.iter().map(|judgement| judgement.loop_name.as_str());
+        let all: Vec<&str> = source.into_iter().chain(members.filter(|name| source != Some(*name))).collect();
+        let beside = |own: &str| {
+            let others = all.iter().filter(|name| **name != own).take(beside::MOST);
+            others.map(|name| (*name).to_owned()).collect()
+        };
         let of = |judgement: &MemberJudgement| Self {
             judgement: judgement.clone(),
             period_s: group.period_s,
             holds: judgement.masked && is_active && source != Some(judgement.loop_name.as_str()),
+            beside: beside(&judgement.loop_name),
             windows_left: ANSWER_HOLDS,
         };
         group.judgements.iter().map(of).collect()
