@@ -74,7 +74,8 @@ impl Made {
             | Kind::StepLoad
             | Kind::ColouredNoise
             | Kind::UpstreamCycle
-            | Kind::InteractingLoop => self.enter_load(kind, size, scale, draw),
+            | Kind::InteractingLoop
+            | Kind::Upsets => self.enter_load(kind, size, scale, draw),
             Kind::ExtraLag
             | Kind::StaticNonlinearity
             | Kind::InverseResponse
@@ -244,6 +245,10 @@ impl Made {
                 let shape = Disturbance::Step { size: 2.0 * draw.sign(), at_s };
                 (draw.series(shape, n), 1.1 * size * scale.pv_sd)
             }
+            Kind::Upsets => {
+                let (shape, unit) = self.upsets(scale, draw);
+                (shape, 1.8 * size * scale.pv_sd * unit)
+            }
             Kind::ColouredNoise => return self.enter_coloured(size, scale, draw),
             Kind::UpstreamCycle => {
                 let period = scale.period * draw.log_between(0.35, 2.5);
@@ -260,6 +265,23 @@ impl Made {
             // A shape that starts at 0 keeps its start; scaling is about its span.
             into.iter_mut().zip(scaled(&shape, by)).for_each(|(x, more)| *x += more);
         }
+    }
+
+    /// Steps and short pulses at sparse times, and half of their common span over the size of one.
+    fn upsets(&mut self, scale: &Scale, draw: &mut Draw) -> (Vec<f64>, f64) {
+        let count = draw.pick(&[3, 4, 5, 6], 3);
+        let mut shape = vec![0.0; scale.scans];
+        for k in 0..count {
+            let at = scale.at(0.08 + 0.86 * (f64::from(k) + draw.between(0.2, 0.8)) / f64::from(count)).round();
+            let length = scale.period * draw.log_between(0.06, 0.4);
+            let end = if draw.chance(0.5) { at + length } else { f64::INFINITY };
+            let size = draw.sign() * draw.between(0.7, 1.3);
+            let is_on = |k: usize| (at..end).contains(&(k as f64));
+            shape.iter_mut().enumerate().filter(|(k, _)| is_on(*k)).for_each(|(_, x)| *x += size);
+        }
+        self.note("events", f64::from(count), "");
+        let half = 0.5 * stiction::signal::stats::span(&shape);
+        (shape, half)
     }
 
     fn enter_coloured(&mut self, size: f64, scale: &Scale, draw: &mut Draw) {

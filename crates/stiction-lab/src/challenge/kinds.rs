@@ -95,6 +95,8 @@ pub enum Kind {
     RandomPacking,
     /// PV falls more slowly than it rises.
     SluggishFall,
+    /// Several external steps and short pulses.
+    Upsets,
 }
 
 impl Kind {
@@ -141,6 +143,9 @@ impl Kind {
         Self::SluggishFall,
     ];
 
+    /// Effects that the budget alone names, outside every usual deck.
+    pub const OF_BUDGET: [Self; 1] = [Self::Upsets];
+
     /// Its id, as in the catalogue if it is there.
     #[must_use]
     pub const fn id(self) -> &'static str {
@@ -178,6 +183,7 @@ impl Kind {
             Self::ClockJitter => "clock_jitter",
             Self::RandomPacking => "random_packing",
             Self::SluggishFall => "sluggish_fall",
+            Self::Upsets => "upsets",
         }
     }
 
@@ -207,7 +213,8 @@ impl Kind {
             | Self::StepLoad
             | Self::ColouredNoise
             | Self::InteractingLoop
-            | Self::UpstreamCycle => Stage::Disturbance,
+            | Self::UpstreamCycle
+            | Self::Upsets => Stage::Disturbance,
             Self::Quantisation
             | Self::HoldCompression
             | Self::SwingingDoor
@@ -241,7 +248,7 @@ mod tests {
 
     #[test]
     fn ids_are_distinct_and_the_two_lists_share_none() {
-        let all: Vec<Kind> = Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN).collect();
+        let all: Vec<Kind> = Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN).chain(Kind::OF_BUDGET).collect();
         let ids: BTreeSet<&str> = all.iter().map(|k| k.id()).collect();
         assert_eq!(ids.len(), all.len());
         assert!(Kind::FOREIGN.iter().all(|k| !k.is_in_catalogue()));

@@ -128,6 +128,23 @@ impl Deck {
         Self { orders, seed, split, cases }
     }
 
+    /// `cases` loops of each of these effects (none for `None`), with random streams of their own.
+    #[must_use]
+    pub fn of(seed: u64, split: Split, kinds: &[Option<Kind>], cases: usize) -> Self {
+        let one = |kind: Option<Kind>, index: usize| Order {
+            stream: format!("challenge/{}/of/{}/{index}", split.name(), kind.map_or("none", Kind::id)),
+            seed,
+            kinds: kind.into_iter().collect(),
+            size: index % 3,
+            setpoint_moves: index.is_multiple_of(2),
+            transient: (index / 2).is_multiple_of(2),
+            mv: false,
+            periods: None,
+        };
+        let orders = kinds.iter().flat_map(|kind| (0..cases).map(|index| one(*kind, index))).collect();
+        Self { orders, seed, split, cases }
+    }
+
     /// Number of cases.
     #[must_use]
     pub fn len(&self) -> usize {

@@ -15,6 +15,8 @@ use crate::signal::stats;
 
 /// What valve and process make of OP.
 pub const VALVE_AND_PROCESS: &str = "valve_and_process";
+/// Several loads that step or last a while.
+pub const UPSETS: &str = "upsets";
 /// What wanders from outside.
 pub const DISTURBANCE: &str = "disturbance";
 /// Both, where they are not told apart.
@@ -34,7 +36,7 @@ const MOST_LONGER: f64 = 10.0;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PartNote {
-    /// `valve_and_process`, an effect's id, `disturbance`, `valve_process_and_disturbance`, `noise` or `unexplained`.
+    /// `valve_and_process`, an effect's id, `upsets`, `disturbance`, `valve_process_and_disturbance`, `noise` or `unexplained`.
     pub id: String,
     /// Share of PV's variance, %; all parts sum to 100. Negative for a part that works against the others.
     pub share_pct: f64,
@@ -46,6 +48,23 @@ pub struct PartNote {
     pub gain_nats: Option<f64>,
     /// Whether the record's halves confirm an effect; false means "suspected", as always where a recorder changed PV.
     pub confirmed: Option<bool>,
+    /// The loads of `upsets`, in time.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub events: Vec<EventNote>,
+}
+
+/// A load that steps or lasts a while.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct EventNote {
+    /// Time after the record's start, s.
+    pub at_s: f64,
+    /// Its height, PV units.
+    pub size: f64,
+    /// How long it lasts, s; `None` for a step, which stays.
+    pub length_s: Option<f64>,
+    /// Whether the record's halves confirm it.
+    pub confirmed: bool,
 }
 
 /// The size from which an effect would have been named in this record.
@@ -119,19 +138,31 @@ impl BudgetNote {
             parameters: BTreeMap::new(),
             gain_nats: None,
             confirmed: None,
+            events: Vec::new(),
         };
         let recorded = |s: &&Signature| s.met && effects::by_id(s.id).is_some_and(|e| e.recorder.is_some());
         let recorder: Vec<String> = signatures.iter().filter(recorded).map(|s| s.id.to_owned()).collect();
-        let effect = |k: usize| {
-            let added = &budget.searched.added[k];
-            let beta = &budget.searched.fit.beta[budget.searched.places(k)];
-            PartNote {
-                parameters: added.shape.sizes(beta, series, split.gain),
-                gain_nats: Some(added.gain),
-                // What a recorder drew or held between two values may look like anything.
-                confirmed: Some(budget.confirmed[k] && recorder.is_empty()),
-                ..plain(&added.shape.full_id(), split.effects[k])
-            }
+        // What a recorder drew or held between two values may look like anything.
+        let sure = recorder.is_empty();
+        let named = budget.named();
+        let effect = |(place, effects): (usize, &Vec<usize>)| {
+            let (id, confirmed) = &named[place];
+            let gain = effects.iter().map(|k| budget.searched.added[*k].gain).sum();
+            let sizes = |k: usize| {
+                let beta = &budget.searched.fit.beta[budget.searched.places(k)];
+                budget.searched.added[k].shape.sizes(beta, series, split.gain)
+            };
+            let (parameters, events) = match effects.as_slice() {
+                [one] => (sizes(*one), Vec::new()),
+                several => {
+                    let event = |k: &usize| EventNote::of(&sizes(*k), budget.confirmed[*k] && sure);
+                    let mut events: Vec<EventNote> = several.iter().map(event).collect();
+                    events.sort_by(|x, y| x.at_s.total_cmp(&y.at_s));
+                    (BTreeMap::new(), events)
+                }
+            };
+            let confirmed = Some(*confirmed && sure);
+            PartNote { parameters, gain_nats: Some(gain), confirmed, events, ..plain(id, split.effects[place]) }
         };
         let hertz = |cycles: f64| Quantity { value: cycles / series.point_s, unit: "Hz".to_owned() };
         let [from, to] = split.course.band;
@@ -142,7 +173,7 @@ impl BudgetNote {
         let name = if split.valve_and_process.is_some() { DISTURBANCE } else { NOT_SPLIT };
         let mut parts: Vec<PartNote> =
             split.valve_and_process.into_iter().map(|part| plain(VALVE_AND_PROCESS, part)).collect();
-        parts.extend((0..split.effects.len()).map(effect));
+        parts.extend(budget.searched.parts().iter().enumerate().map(effect));
         parts.push(PartNote { parameters: course, ..plain(name, split.disturbance) });
         parts.extend([plain(NOISE, split.noise), plain(UNEXPLAINED, split.unexplained)]);
         let step = budget.smallest_step.map(|size| (Shape::Step(0).id(), size, None));
@@ -163,6 +194,19 @@ impl BudgetNote {
             order: budget.searched.fit.order() as u8,
             smallest: smallest.collect(),
             recorder,
+        }
+    }
+}
+
+impl EventNote {
+    /// The event of a load by its sizes.
+    fn of(sizes: &BTreeMap<String, Quantity>, confirmed: bool) -> Self {
+        let value = |name: &str| sizes.get(name).map(|q| q.value);
+        Self {
+            at_s: value("at").unwrap_or_default(),
+            size: value("size").unwrap_or_default(),
+            length_s: value("length"),
+            confirmed,
         }
     }
 }

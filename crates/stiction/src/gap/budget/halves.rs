@@ -38,6 +38,7 @@ pub fn confirm(model: &Model, searched: &Searched, effect: usize) -> bool {
             matches!(found, [Some(first), Some(second)] if agree(&first, &second))
         }
         Shape::Step(at) => one.local(around(*at, n)),
+        Shape::Pulse(at, length) => one.local(around(at + length / 2, n)),
         Shape::Ramp(from) => one.local(around((from + n) / 2, n)),
         Shape::Outliers(at) => {
             let most = halves.into_iter().max_by_key(|half| at.iter().filter(|k| half.holds(**k)).count());
@@ -115,8 +116,9 @@ impl Judged<'_> {
         let places = self.searched.places(self.effect);
         let whole = self.searched.fit.beta[places.start];
         let Some(own) = self.found(stretch) else { return false };
-        let same = !matches!(self.searched.added[self.effect].shape, Shape::Step(_) | Shape::Ramp(_))
-            || own.first().is_some_and(|own| own * whole > 0.0);
+        let same =
+            !matches!(self.searched.added[self.effect].shape, Shape::Step(_) | Shape::Pulse(..) | Shape::Ramp(_))
+                || own.first().is_some_and(|own| own * whole > 0.0);
         same && self.held_out(stretch) > LEAST_HELD_OUT
     }
 

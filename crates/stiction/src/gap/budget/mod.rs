@@ -80,6 +80,16 @@ impl Budget {
             split,
         })
     }
+
+    /// Id of each part that is an effect, and whether the halves confirm it: of several loads at least two.
+    #[must_use]
+    pub fn named(&self) -> Vec<(String, bool)> {
+        let name = |part: &Vec<usize>| match part.as_slice() {
+            [one] => (self.searched.added[*one].shape.full_id(), self.confirmed[*one]),
+            several => (document::UPSETS.to_owned(), several.iter().filter(|k| self.confirmed[**k]).count() >= 2),
+        };
+        self.searched.parts().iter().map(name).collect()
+    }
 }
 
 #[cfg(test)]
@@ -96,6 +106,7 @@ mod tests {
     #[derive(Debug, Clone, Copy, Default)]
     pub(super) struct Loop {
         pub step: f64,
+        pub pulse: f64,
         pub wave: f64,
         pub burst: bool,
         pub wild: f64,
@@ -113,9 +124,10 @@ mod tests {
     impl Loop {
         fn effect(&self, k: usize) -> f64 {
             let step = if k >= 500 { self.step } else { 0.0 };
+            let pulse = if (250..270).contains(&k) { self.pulse } else { 0.0 };
             let sounds = !self.burst || k < N / 2;
             let wave = if sounds { self.wave * libm::sin(k as f64 * core::f64::consts::TAU / 23.0) } else { 0.0 };
-            step + wave + if k % 100 == 60 && k > 100 { self.wild } else { 0.0 }
+            step + pulse + wave + if k % 100 == 60 && k > 100 { self.wild } else { 0.0 }
         }
 
         pub(super) fn run(&self, seed: u64) -> (Record, Truth) {
@@ -202,6 +214,29 @@ mod tests {
         assert!(row_of_load(&load, |_| 0.0).is_none());
         let half = row_of_load(&load, |k| if k < N / 2 { 0.6 } else { 0.0 });
         assert!(half.is_none_or(|row| row.confirmed == Some(false)));
+    }
+
+    #[test]
+    fn a_step_and_a_pulse_are_one_part_with_two_events_and_either_alone_is_a_load() {
+        let note = |of: Loop| {
+            let budget = Budget::of(&of.run(1).0, Known { period: Some(150.0), ..Known::default() }).unwrap();
+            let named = budget.named();
+            (named, document::BudgetNote::of(&budget, &[]))
+        };
+        let (named, both) = note(Loop { step: 1.5, pulse: 1.5, ..Loop::default() });
+        assert_eq!(named, [(document::UPSETS.to_owned(), true)]);
+        let part = both.parts.iter().find(|part| part.id == document::UPSETS).unwrap();
+        let times: Vec<(f64, Option<f64>)> = part.events.iter().map(|e| (e.at_s, e.length_s)).collect();
+        assert!(
+            matches!(times[..], [(pulse, Some(length)), (step, None)]
+            if (pulse - 250.0).abs() <= 2.0 && (length - 20.0).abs() <= 3.0 && (step - 500.0).abs() <= 2.0),
+            "{times:?}"
+        );
+        assert!(part.parameters.is_empty() && part.gain_nats > Some(16.0), "{part:?}");
+        let (named, alone) = note(Loop { pulse: 1.5, ..Loop::default() });
+        assert_eq!(named, [("step_load".to_owned(), true)]);
+        let part = alone.parts.iter().find(|part| part.id == "step_load").unwrap();
+        assert!((part.parameters["length"].value - 20.0).abs() <= 3.0 && part.events.is_empty(), "{part:?}");
     }
 
     #[test]

@@ -60,7 +60,7 @@ pub struct Split {
     pub valve_and_process: Option<Part>,
     /// Why not.
     pub no_split: Option<NoSplit>,
-    /// Each effect, in the order of the search.
+    /// Each part of [`Searched::parts`].
     pub effects: Vec<Part>,
     /// What wanders, as far as its own past predicts it; with valve and process where these are not told from it.
     pub disturbance: Part,
@@ -81,7 +81,7 @@ pub fn split(model: &Model, searched: &Searched, noise: Option<f64>) -> Split {
     let fit = &searched.fit;
     let part =
         |x: &[f64]| Part { share: covariance(x, y) / stats::variance(y), size: stats::std_dev(x) / stats::std_dev(y) };
-    let effects: Vec<Vec<f64>> = (0..searched.added.len()).map(|k| searched.part(k)).collect();
+    let effects: Vec<Vec<f64>> = searched.parts().iter().map(|effects| searched.sum(effects)).collect();
     let mut rest = y.clone();
     for effect in &effects {
         rest.iter_mut().zip(effect).for_each(|(rest, x)| *rest -= x);

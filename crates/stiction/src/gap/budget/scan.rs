@@ -41,6 +41,26 @@ const LAST_DEAD_TIME: f64 = 0.5;
 /// Part of a column's power that must be new.
 const NEW: f64 = 1e-7;
 
+/// Points of the shortest pulse: less are wild values. And the longest, part of the record.
+const SHORTEST_PULSE: usize = 3;
+const LONGEST_PULSE: f64 = 0.1;
+
+/// A step as the noise model sees it.
+struct SeenStep {
+    onset: usize,
+    /// Its power, its product with the innovations less what the fit's columns make of it, and its products with them, solved.
+    power: f64,
+    along: f64,
+    known: DVector<f64>,
+}
+
+/// Twice the log likelihood that a column would gain by its power, its new part's product with the innovations, and the power
+/// that the fit knows already.
+fn gain(power: f64, along: f64, known: f64) -> f64 {
+    let new = power - known;
+    if new > NEW * power { along * along / new } else { 0.0 }
+}
+
 /// A fit's innovations and what it has explained.
 pub struct Scan<'f> {
     fit: &'f Fit,
@@ -84,9 +104,7 @@ impl<'f> Scan<'f> {
     /// Twice the log likelihood that a column would gain by its products with itself, the score and the fit's columns.
     fn gain(&self, power: f64, with_score: f64, products: impl Iterator<Item = f64>) -> f64 {
         let Some(known) = self.solved(products) else { return 0.0 };
-        let new = power - known.norm_squared();
-        let along = with_score - known.dot(&self.of_score);
-        if new > NEW * power { along * along / new } else { 0.0 }
+        gain(power, with_score - known.dot(&self.of_score), known.norm_squared())
     }
 
     /// The same for a whitened column, beginning at [`START`].
@@ -114,18 +132,18 @@ impl<'f> Scan<'f> {
         START.max((ENDS * self.n as f64) as usize)..end
     }
 
-    /// The most promising `most` steps.
-    #[must_use]
-    pub fn steps(&self, most: usize) -> Vec<Shape> {
-        let a = &self.fit.a;
-        // What A makes of a step: a start of its order, then a constant.
-        let start: Vec<f64> = a
-            .iter()
-            .scan(0.0, |sum, a| {
-                *sum += a;
-                Some(*sum)
-            })
-            .collect();
+    /// What A makes of a step: a start of its order, then a constant.
+    fn whitened_step(&self) -> Vec<f64> {
+        let sum = |sum: &mut f64, a: &f64| {
+            *sum += a;
+            Some(*sum)
+        };
+        self.fit.a.iter().scan(0.0, sum).collect()
+    }
+
+    /// Steps at each of these onsets.
+    fn seen_steps(&self, onsets: core::ops::Range<usize>) -> Option<Vec<SeenStep>> {
+        let start = self.whitened_step();
         let (level, start) = start.split_last().map_or((0.0, &[][..]), |(level, start)| (*level, start));
         let sums: Vec<Vec<f64>> = self.fit.columns.iter().chain([&self.score]).map(|c| tail_sums(c)).collect();
         let length = self.n - START;
@@ -133,17 +151,63 @@ impl<'f> Scan<'f> {
             let first: f64 = start.iter().zip(&x[at..]).map(|(w, x)| w * x).sum();
             first + level * sums[(at + start.len()).min(length)]
         };
-        let mut found: Vec<(f64, usize)> = Vec::new();
-        for onset in self.onsets() {
+        let seen = |onset: usize| {
             let at = onset - START;
             let within = &start[..start.len().min(length - at)];
             let rest = (length - at).saturating_sub(start.len()) as f64;
             let power = within.iter().map(|w| w * w).sum::<f64>() + level * level * rest;
             let of = |(x, sums): (&Vec<f64>, &Vec<f64>)| product(x, sums, at);
             let with_score = of((&self.score, &sums[sums.len() - 1]));
-            found.push((self.gain(power, with_score, self.fit.columns.iter().zip(&sums).map(of)), onset));
-        }
+            let known = self.solved(self.fit.columns.iter().zip(&sums).map(of))?;
+            Some(SeenStep { onset, power, along: with_score - known.dot(&self.of_score), known })
+        };
+        onsets.map(seen).collect()
+    }
+
+    /// The most promising `most` steps.
+    #[must_use]
+    pub fn steps(&self, most: usize) -> Vec<Shape> {
+        let gain = |step: &SeenStep| gain(step.power, step.along, step.known.norm_squared());
+        let found = self.seen_steps(self.onsets()).unwrap_or_default();
+        let found = found.iter().map(|step| (gain(step), step.onset)).collect();
         best(found, most, |_, _| true).into_iter().map(Shape::Step).collect()
+    }
+
+    /// Lengths of pulses, points.
+    fn lengths(&self) -> core::ops::RangeInclusive<usize> {
+        SHORTEST_PULSE..=(LONGEST_PULSE * self.n as f64) as usize
+    }
+
+    /// The most promising `most` pulses: each is a step less a later one.
+    #[must_use]
+    pub fn pulses(&self, most: usize) -> Vec<Shape> {
+        let step = self.whitened_step();
+        let at = |i: usize| step[i.min(step.len() - 1)];
+        // Power of a whitened pulse of each length by its first points.
+        let powers: Vec<Vec<f64>> = self
+            .lengths()
+            .map(|length| {
+                let value = |i: usize| if i < length { at(i) } else { at(i) - at(i - length) };
+                let sum = |sum: &mut f64, i: usize| {
+                    *sum += value(i) * value(i);
+                    Some(*sum)
+                };
+                (0..length + step.len()).scan(0.0, sum).collect()
+            })
+            .collect();
+        let steps = self.seen_steps(self.onsets().start..self.n).unwrap_or_default();
+        let mut found: Vec<(f64, (usize, usize))> = Vec::new();
+        for (k, on) in steps.iter().enumerate() {
+            for (length, powers) in self.lengths().zip(&powers) {
+                let Some(off) = steps.get(k + length) else { break };
+                let power = powers[(self.n - on.onset).min(powers.len()) - 1];
+                let known = on.known.norm_squared() + off.known.norm_squared() - 2.0 * on.known.dot(&off.known);
+                found.push((gain(power, on.along - off.along, known), (on.onset, length)));
+            }
+        }
+        let apart =
+            |(at, length): (usize, usize), (other, long): (usize, usize)| at + length < other || other + long < at;
+        best(found, most, apart).into_iter().map(|(at, length)| Shape::Pulse(at, length)).collect()
     }
 
     /// Onsets of a ramp.
@@ -249,6 +313,7 @@ impl<'f> Scan<'f> {
     pub fn tried(&self, shape: &Shape, frequencies: usize) -> usize {
         match shape {
             Shape::Step(_) => self.onsets().len(),
+            Shape::Pulse(..) => self.onsets().len() * self.lengths().count(),
             Shape::Ramp(_) => RAMPS,
             Shape::Sinusoid(_) => frequencies,
             Shape::Neighbour(..) => LAGS.len() * DEAD_TIMES,
@@ -303,6 +368,12 @@ mod tests {
         let best = scan.onsets().max_by(|x, y| long(*x).total_cmp(&long(*y))).unwrap();
         assert_eq!(scan.steps(1), [Shape::Step(best)]);
         assert!(best.abs_diff(300) <= 2, "{best}");
+        let long = |at: usize, length: usize| {
+            scan.gain_of(&whitened(&fit.a, &Shape::Pulse(at, length).columns(500, &[])[0])[START..])
+        };
+        let all = scan.onsets().flat_map(|at| (3..=50).map(move |length| (at, length))).filter(|(at, l)| at + l < 500);
+        let best = all.max_by(|x, y| long(x.0, x.1).total_cmp(&long(y.0, y.1))).unwrap();
+        assert_eq!(scan.pulses(1), [Shape::Pulse(best.0, best.1)]);
         let new = scan.new_part(&whitened(&fit.a, &Shape::Step(300).columns(500, &[])[0])[START..]);
         assert!(fit.columns.iter().all(|c| stats::dot(c, &new).abs() < 1e-4 * stats::dot(c, c).sqrt()));
     }

@@ -10,8 +10,11 @@ use crate::sim::noise::{Noise, stream_of};
 /// Nats that an effect gains at least, beyond its coefficients and the choice among its shapes. Chosen on every second real
 /// recording (PLANTGAP's even ones), so that their resampled nulls name nothing.
 pub const LEAST_GAIN: f64 = 8.0;
-/// Most effects that are added.
+/// Most effects that are added, all loads that step or last a while being one, and most such loads.
 const MOST_ADDED: usize = 3;
+const MOST_LOADS: usize = 8;
+/// How far apart the edges of two loads are at least, part of the record: a load that comes through a lag is not several.
+const LOADS_APART: f64 = 1.0 / 60.0;
 /// Shapes of a kind that are refitted: alone, beside those of a low order, and of a low order.
 const REFITTED: [usize; 3] = [3, 2, 2];
 /// Order of A that cannot swallow a sinusoid.
@@ -120,11 +123,35 @@ impl Searched {
         from..from + count(&self.added[effect])
     }
 
-    /// What an effect adds to PV, standard deviations.
+    /// The effects by part: steps and pulses are one, wherever the search found them.
     #[must_use]
-    pub fn part(&self, effect: usize) -> Vec<f64> {
+    pub fn parts(&self) -> Vec<Vec<usize>> {
+        let mut out: Vec<Vec<usize>> = Vec::new();
+        let is_load = |k: usize| self.added[k].shape.edges().is_some();
+        for k in 0..self.added.len() {
+            match out.iter_mut().find(|part| is_load(k) && is_load(part[0])) {
+                Some(loads) => loads.push(k),
+                None => out.push(vec![k]),
+            }
+        }
+        out
+    }
+
+    /// Whether another effect may be added.
+    fn has_room_for(&self, shape: &Shape) -> bool {
+        let parts = self.parts();
+        let loads = parts.iter().find(|part| self.added[part[0]].shape.edges().is_some());
+        match loads.filter(|_| shape.edges().is_some()) {
+            Some(loads) => loads.len() < MOST_LOADS,
+            None => parts.len() < MOST_ADDED,
+        }
+    }
+
+    /// What effects add to PV, standard deviations.
+    #[must_use]
+    pub fn sum(&self, effects: &[usize]) -> Vec<f64> {
         let mut out = vec![0.0; self.columns.first().map_or(0, Vec::len)];
-        for place in self.places(effect) {
+        for place in effects.iter().flat_map(|effect| self.places(*effect)) {
             let beta = self.fit.beta[place];
             out.iter_mut().zip(&self.columns[place]).for_each(|(out, x)| *out += beta * x);
         }
@@ -144,8 +171,7 @@ struct Tried {
 #[must_use]
 pub fn search(series: &Series, model: &Model) -> Searched {
     let mut so_far = Searched { added: Vec::new(), columns: Vec::new(), fit: model.base.clone() };
-    while so_far.added.len() < MOST_ADDED {
-        let Some(best) = best(series, model, &so_far).filter(|best| best.gain >= LEAST_GAIN) else { break };
+    while let Some(best) = best(series, model, &so_far).filter(|best| best.gain >= LEAST_GAIN) {
         so_far.added.push(Added { shape: best.shape, gain: best.gain });
         so_far.columns = best.columns;
         so_far.fit = best.fit;
@@ -177,7 +203,7 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
         let gain = fit.log_likelihood() - so_far.fit.log_likelihood() - cost;
         Some(Tried { shape, gain, columns, fit })
     };
-    let all = shapes.into_iter().filter(|s| !there(s)).filter_map(try_one);
+    let all = shapes.into_iter().filter(|s| so_far.has_room_for(s) && !there(s)).filter_map(try_one);
     let mut best = all.max_by(|x, y| x.gain.total_cmp(&y.gain))?;
     // Between the frequencies that are looked through lies a better one.
     for step in FINER {
@@ -193,8 +219,11 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
 
 /// Whether a shape is one that is there already.
 pub(super) fn is_same(shape: &Shape, there: &Shape, n: usize) -> bool {
+    if let (Some(own), Some(other)) = (shape.edges(), there.edges()) {
+        let least = (LOADS_APART * n as f64) as usize;
+        return own.iter().any(|x| *x != usize::MAX && other.iter().any(|y| x.abs_diff(*y) < least));
+    }
     match (shape, there) {
-        (Shape::Step(_), Shape::Step(_)) => shape == there,
         (Shape::Sinusoid(own), Shape::Sinusoid(other)) => (own - other).abs() < APART / n as f64,
         _ => shape.full_id() == there.full_id(),
     }
@@ -215,6 +244,7 @@ fn candidates(series: &Series, scan: &Scan<'_>, low: Option<&Scan<'_>>, frequenc
     for (scan, most) in [(Some(scan), most), (low, of_low)] {
         let Some(scan) = scan else { continue };
         add(scan.steps(most));
+        add(scan.pulses(most));
         add(scan.ramps(most));
         add(scan.sinusoids(frequencies, most));
         add(scan.neighbours(series, most));

@@ -14,6 +14,8 @@ use crate::gap::sizes::Quantity;
 pub enum Shape {
     /// A step from a point on.
     Step(usize),
+    /// A load from a point on, over a number of points.
+    Pulse(usize, usize),
     /// A straight rise from a point on.
     Ramp(usize),
     /// A sinusoid of a frequency, cycles a point.
@@ -33,7 +35,7 @@ impl Shape {
     #[must_use]
     pub fn id(&self) -> &'static str {
         match self {
-            Self::Step(_) => effects::step_load::EFFECT.id,
+            Self::Step(_) | Self::Pulse(..) => effects::step_load::EFFECT.id,
             Self::Ramp(_) => effects::ramp::EFFECT.id,
             Self::Sinusoid(_) => effects::sinusoid::EFFECT.id,
             Self::Drift => effects::gain_drift::EFFECT.id,
@@ -52,12 +54,23 @@ impl Shape {
         }
     }
 
+    /// Points at which a load that steps or lasts a while begins and ends; `None` for any other shape.
+    #[must_use]
+    pub const fn edges(&self) -> Option<[usize; 2]> {
+        match self {
+            Self::Step(at) => Some([*at, usize::MAX]),
+            Self::Pulse(at, length) => Some([*at, *at + *length]),
+            _ => None,
+        }
+    }
+
     /// Its columns for `n` points; `driven` is what valve and process make of OP.
     #[must_use]
     pub fn columns(&self, n: usize, driven: &[f64]) -> Vec<Vec<f64>> {
         let of = |x: &dyn Fn(usize) -> f64| (0..n).map(x).collect::<Vec<f64>>();
         match self {
             Self::Step(at) => vec![of(&|k| f64::from(u8::from(k >= *at)))],
+            Self::Pulse(at, length) => vec![of(&|k| f64::from(u8::from((*at..at + length).contains(&k))))],
             Self::Ramp(from) => vec![of(&|k| k.saturating_sub(*from) as f64 / n as f64)],
             Self::Sinusoid(frequency) => wave(*frequency, n).into(),
             Self::Drift => vec![of(&|k| (2.0 * k as f64 / n as f64 - 1.0) * driven[k])],
@@ -91,6 +104,11 @@ impl Shape {
         let whole_s = series.n() as f64 * series.point_s;
         let sizes: Vec<(&str, f64, &str)> = match self {
             Self::Step(at) => vec![("at", series.time_s(*at), "s"), ("size", first * deviation, "PV")],
+            Self::Pulse(at, length) => vec![
+                ("at", series.time_s(*at), "s"),
+                ("size", first * deviation, "PV"),
+                ("length", *length as f64 * series.point_s, "s"),
+            ],
             Self::Ramp(from) => {
                 vec![("from", series.time_s(*from), "s"), ("slope", first * deviation / whole_s, "PV/s")]
             }
@@ -145,6 +163,7 @@ mod tests {
         let driven: Vec<f64> = (0..100).map(|k| libm::sin(f64::from(k) * 0.3)).collect();
         let one = |shape: Shape| shape.columns(100, &driven).remove(0);
         assert_eq!(one(Shape::Step(40))[39..42], [0.0, 1.0, 1.0]);
+        assert_eq!(one(Shape::Pulse(40, 2))[39..43], [0.0, 1.0, 1.0, 0.0]);
         assert!((one(Shape::Ramp(40))[90] - 0.5).abs() < 1e-12 && one(Shape::Ramp(40))[40] == 0.0);
         assert!((one(Shape::Sinusoid(0.07))[99] - libm::sin(2.0 * PI * 6.93)).abs() < 1e-9);
         assert_eq!(one(Shape::Drift)[0], -driven[0]);

@@ -31,7 +31,11 @@ pub const EFFECT: Effect = Effect {
     local: true,
     phrase: |sizes| {
         let (size, at) = (sizes.said("size")?, sizes.said("at")?);
-        Some(format!("a load step of {size} PV units {at} s after the start"))
+        // The budget knows loads that go away again.
+        Some(match sizes.said("length") {
+            Some(length) => format!("a load of {size} PV units for {length} s, {at} s after the start"),
+            None => format!("a load step of {size} PV units {at} s after the start"),
+        })
     },
     in_loop: |stated, parts| {
         let (process, size, at_s) = (&stated.model.process, stated.number("size")?, stated.number("at")?);

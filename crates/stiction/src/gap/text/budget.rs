@@ -1,8 +1,8 @@
 //! The budget as a table, and what the record can tell, in words.
 
 use super::super::budget::document::{
-    BudgetNote, CANNOT_BE_TOLD, DISTURBANCE, NOISE, NOT_SPLIT, PartNote, TOLD, TellableNote, UNEXPLAINED,
-    VALVE_AND_PROCESS,
+    BudgetNote, CANNOT_BE_TOLD, DISTURBANCE, EventNote, NOISE, NOT_SPLIT, PartNote, TOLD, TellableNote, UNEXPLAINED,
+    UPSETS, VALVE_AND_PROCESS,
 };
 use super::super::document::GapDocument;
 use super::effect;
@@ -116,9 +116,22 @@ fn words(part: &PartNote) -> String {
                 _ => "suspected, not confirmed by the record's halves",
             };
             let gain = part.gain_nats.map_or_else(String::new, |g| format!(" (gain {} nats)", number(g)));
-            format!("{}, {halves}{gain}", effect::phrase_of(id, &part.parameters))
+            let what = match id {
+                UPSETS => upsets(&part.events),
+                id => effect::phrase_of(id, &part.parameters),
+            };
+            format!("{what}, {halves}{gain}")
         }
     }
+}
+
+/// Loads with their times and sizes.
+fn upsets(events: &[EventNote]) -> String {
+    let one = |event: &EventNote| {
+        let lasts = event.length_s.map_or_else(String::new, |length| format!(" for {}", duration(length)));
+        format!("{} PV units{lasts} at {} s", number(event.size), number(event.at_s))
+    };
+    format!("{} upsets: {}", events.len(), events.iter().map(one).collect::<Vec<_>>().join(", "))
 }
 
 fn no_split(budget: &BudgetNote) -> Option<String> {
@@ -200,6 +213,21 @@ mod tests {
         let part = &mut d.budget.as_mut().unwrap().parts[0];
         (part.id, part.confirmed) = ("gain_drift".to_owned(), Some(false));
         assert!(report(&d).contains("a drifting gain, suspected, not confirmed by the record's halves"));
+    }
+
+    #[test]
+    fn upsets_are_said_with_times_sizes_and_lengths() {
+        let mut part = document().budget.unwrap().parts.remove(0);
+        let event = |at_s: f64, length_s: Option<f64>| EventNote { at_s, size: -1.5, length_s, confirmed: true };
+        (part.id, part.confirmed, part.gain_nats) = (UPSETS.to_owned(), Some(true), Some(40.0));
+        part.events = vec![event(300.0, None), event(900.0, Some(60.0))];
+        assert_eq!(
+            words(&part),
+            format!(
+                "2 upsets: -1.5 PV units at 300 s, -1.5 PV units for {} at 900 s, confirmed by the record's halves (gain 40 nats)",
+                duration(60.0)
+            )
+        );
     }
 
     #[test]

@@ -1,0 +1,73 @@
+//! Effects that the budget alone names, on simulated loops that nothing was chosen on:
+//!
+//! `SEED=60 CASES=20 cargo test -p stiction-lab --test proof val_effects -- --ignored --nocapture`
+//!
+//! Odd seeds are the development set.
+
+use std::collections::BTreeMap;
+
+use stiction::detect::oscillation;
+use stiction::gap::budget::{Budget, Known};
+use stiction::gap::{GapOptions, Serial, diagnose};
+use stiction::record::Record;
+use stiction_lab::challenge::{Deck, Kind, Split, TruthCase};
+
+/// Models tried for the valve's bands.
+const FEW: u64 = 20_000;
+
+/// An environment variable as a number.
+fn asked(name: &str, usual: u64) -> u64 {
+    std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
+}
+
+/// What the budget names, and whether the halves confirm it.
+fn names(record: &Record) -> Vec<(String, bool)> {
+    let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
+    let options = GapOptions { period_points: period, budget_evaluations: FEW, ..GapOptions::default() };
+    let Ok(made) = diagnose(record, &options, &Serial) else { return Vec::new() };
+    let valve = &made.base.model.valve;
+    let bands = (valve.law != "none").then_some([valve.fs, valve.fd]);
+    let known = Known { bands, noise_sd: made.floor.noise_sd, ..Known::default() };
+    Budget::of(record, known).map(|budget| budget.named()).unwrap_or_default()
+}
+
+/// Loops, those with a name or a confirmed one of the effect itself, and of each that was not put in.
+#[derive(Default)]
+struct Row {
+    of: usize,
+    right: [usize; 2],
+    others: BTreeMap<String, [usize; 2]>,
+}
+
+#[test]
+#[ignore = "a benchmark of minutes"]
+fn steps_and_pulses_are_named_as_one_effect() {
+    let (seed, cases) = (asked("SEED", 60), asked("CASES", 20) as usize);
+    let beside = [Kind::StepLoad, Kind::Sinusoid, Kind::Ramp, Kind::ColouredNoise, Kind::UpstreamCycle];
+    let kinds: Vec<Option<Kind>> = Kind::OF_BUDGET.into_iter().chain(beside).map(Some).chain([None]).collect();
+    let deck = Deck::of(seed, Split::of_seed(seed), &kinds, cases);
+    let mut rows: BTreeMap<String, Row> = BTreeMap::new();
+    for index in 0..deck.len() {
+        let dealt = deck.deal(index).unwrap();
+        let names = names(&dealt.record);
+        let TruthCase { effect, form, .. } = dealt.truth;
+        let row = rows.entry(form.map_or(effect.clone(), |form| format!("{effect}, {form}"))).or_default();
+        row.of += 1;
+        for (id, sure) in names {
+            let count = if id == effect { &mut row.right } else { row.others.entry(id).or_default() };
+            count[0] += 1;
+            count[1] += usize::from(sure);
+        }
+    }
+    println!("{:<32} {:>4} {:>6} {:>10}  other names (confirmed)", "effect", "of", "named", "confirmed");
+    for (effect, row) in &rows {
+        let others: Vec<String> = row.others.iter().map(|(id, [all, sure])| format!("{id} {all} ({sure})")).collect();
+        println!("{effect:<32} {:>4} {:>6} {:>10}  {}", row.of, row.right[0], row.right[1], others.join(", "));
+    }
+    // A load that comes through the process looks like what wanders; one on PV itself must be seen.
+    let seen = &rows["upsets, on pv"];
+    assert!(2 * seen.right[0] >= seen.of, "{} of {}", seen.right[0], seen.of);
+    let wrong: usize =
+        Kind::OF_BUDGET.iter().filter_map(|kind| rows["none"].others.get(kind.id())).map(|[all, _]| all).sum();
+    assert!(10 * wrong <= rows["none"].of, "{wrong} of {}", rows["none"].of);
+}
