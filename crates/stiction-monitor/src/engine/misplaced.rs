@@ -11,12 +11,10 @@ use stiction::record::Record;
 use stiction::signal::detrend::{remove_line, remove_mean};
 use stiction::signal::stats;
 use stiction::units::ns_from_s;
+use stiction::verdict::swapped::POINTS;
 
-/// Least share of OP's moves that a controller explains to count as evidence, as for swapped signals.
-const LEAST_R2: f64 = 0.98;
-/// Least common points of two loops, and points in which a controller is looked for.
+/// Least common points of two loops.
 const LEAST_POINTS: usize = 120;
-const POINTS: usize = 3000;
 /// Largest difference of two records of one signal: of the values over their spread, and of the moves over theirs. Two
 /// transmitters on one pipe share the slow part and not the noise.
 const SAME_VALUES: f64 = 0.02;
@@ -82,7 +80,7 @@ impl<'a> Seen<'a> {
 
     fn opposite_position(&self) -> bool {
         let Some(mv) = self.record.mv.as_deref() else { return false };
-        mv.len() == self.op.len() && correlation(&self.op, mv) < OPPOSITE
+        mv.len() == self.op.len() && stats::correlation(&self.op, mv) < OPPOSITE
     }
 }
 
@@ -133,7 +131,7 @@ fn of_one(one: &Seen<'_>, all: &[Seen<'_>]) -> Option<Misplaced> {
 
 /// Whether a reading is that of a controller beyond doubt, and not of a signal that follows OP.
 fn is_plain(reading: &Reading, length_s: f64) -> bool {
-    reading.r2 >= LEAST_R2 && reading.lag_samples >= 0.0 && reading.ti_s < LONGEST_INTEGRAL * length_s
+    reading.r2 >= controller::CERTAIN_R2 && reading.lag_samples >= 0.0 && reading.ti_s < LONGEST_INTEGRAL * length_s
 }
 
 /// Whether two series are records of one signal.
@@ -146,11 +144,6 @@ fn is_same(a: &[f64], b: &[f64]) -> bool {
 
 fn moves(x: &[f64]) -> Vec<f64> {
     x.windows(2).map(|pair| pair[1] - pair[0]).collect()
-}
-
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let (a, b) = (remove_mean(a), remove_mean(b));
-    stats::dot(&a, &b) / (stats::dot(&a, &a) * stats::dot(&b, &b)).sqrt()
 }
 
 /// Share of OP's variance that PV and its integral explain: nearly all of it under a PI controller. Lines are left out: the

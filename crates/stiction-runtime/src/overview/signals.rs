@@ -5,12 +5,10 @@ use std::sync::{Arc, PoisonError};
 
 use super::Overview;
 use super::obstacles::ObstacleKind;
+use stiction::ident::controller::CERTAIN_R2;
 use stiction::verdict::Assessment;
 use stiction_monitor::config::Action;
 use stiction_monitor::engine::Misplaced;
-
-/// Least share of OP's moves that the controller explains, for its sign to count.
-const LEAST_R2: f64 = 0.98;
 
 /// What is wrong with a loop's signals, and the start of the first window with it, ns since 1970.
 #[derive(Debug, Clone, Default)]
@@ -24,7 +22,7 @@ pub(super) struct SignalFaults {
 impl SignalFaults {
     /// Compares the action that is configured with the controller of a window. A window that shows no controller changes nothing.
     pub fn window(&mut self, action: Option<Action>, a: &Assessment) {
-        let controller = a.controller.as_ref().filter(|controller| controller.r2 >= LEAST_R2);
+        let controller = a.controller.as_ref().filter(|controller| controller.r2 >= CERTAIN_R2);
         match (action, controller) {
             (None, _) => self.against = None,
             (Some(action), Some(controller)) if action.contradicts(controller.kc) => {

@@ -140,7 +140,7 @@ pub enum Outcome {
 /// Weights of a feature for "right" and for "none"; "other" is the one they are measured against.
 pub type Weights = BTreeMap<String, [f64; 2]>;
 
-/// Weights and thresholds, as `gap challenge calibrate` writes them.
+/// Weights and thresholds, as `stiction-lab challenge calibrate` writes them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// By feature; one that is absent weighs nothing.

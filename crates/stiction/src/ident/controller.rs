@@ -36,6 +36,9 @@ pub struct Reading {
 const LAGS: [isize; 2] = [-3, 4];
 /// Widths of the moves, points: wide ones stand above OP's rounding, narrow ones show the lag best.
 const WIDTHS: [usize; 3] = [1, 4, 16];
+/// Share of OP's moves above which a reading is evidence of which signals belong together: one real process of 114 reads
+/// like a controller, with 0.95.
+pub const CERTAIN_R2: f64 = 0.98;
 /// Least share of OP's moves that a reading explains.
 const MIN_R2: f64 = 0.9;
 /// The runner-up lag must leave at least this many times the variance unexplained.

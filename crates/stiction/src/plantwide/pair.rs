@@ -7,6 +7,7 @@ use nalgebra::Complex;
 
 use super::cycle::{Cycle, angle, length};
 use super::logit::Logit;
+use crate::signal::stats;
 
 /// Largest difference of the frequencies of a pair, as a logarithm of their ratio.
 pub(super) const NEAR: f64 = 0.12;
@@ -91,7 +92,7 @@ pub(super) fn compare(a: &Cycle, b: &Cycle) -> Option<Pair> {
         0.5 * libm::log(alone_a.variance.min(alone_b.variance)),
         libm::log((together.slope * frames as f64).abs() + 0.02),
         libm::log(periods),
-        correlation(&envelope_a, &envelope_b),
+        stats::correlation(&envelope_a, &envelope_b),
         libm::log(rank_among_shifted(&alone_a.rest, &alone_b.rest, together.variance, frame)),
         covariance / (alone_a.variance * alone_b.variance).sqrt(),
         libm::log((a.frequency_hz - b.frequency_hz).abs() / frequency * periods + 0.02),
@@ -168,18 +169,9 @@ fn rank_among_shifted(a: &[f64], b: &[f64], of_pair: f64, frame: f64) -> f64 {
         let overlap = m - shift.unsigned_abs();
         let shifted: Vec<f64> = (0..overlap).map(|k| a[from_a + k] - b[from_b + k]).collect();
         tried += 1;
-        smaller +=
-            usize::from(crate::signal::stats::variance(&crate::signal::detrend::remove_line(&shifted)) <= of_pair);
+        smaller += usize::from(stats::variance(&crate::signal::detrend::remove_line(&shifted)) <= of_pair);
     }
     if tried == 0 { 0.5 } else { (1 + smaller) as f64 / (1 + tried) as f64 }
-}
-
-/// Correlation of two signals; 0 where one is constant.
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    use crate::signal::{detrend::remove_mean, stats::dot};
-    let (a, b) = (remove_mean(a), remove_mean(b));
-    let scale = (dot(&a, &a) * dot(&b, &b)).sqrt();
-    if scale > 0.0 { dot(&a, &b) / scale } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //!
 //! In manual OP goes one way in steps of about s / 4 until PV moves: then the stem follows OP. OP is reversed; the number
 //! of steps until PV moves back counts the band. A second reversal begins with half a step, so that its count halves the
-//! uncertainty. `stictiond calibrate --bump-test` carries the test out on simulated valves.
+//! uncertainty. `stiction-lab calibrate --bump-test` carries the test out on simulated valves.
 
 use serde::{Deserialize, Serialize};
 

@@ -8,10 +8,8 @@ use crate::signal::stats;
 /// swapped. None of 106 labelled recordings with a set point is taken for swapped; 75 of them are once OP and PV are exchanged.
 const NEAR_SET_POINT: f64 = 0.1;
 const FAR_FROM_SET_POINT: f64 = 2.0;
-/// Points in which a controller is looked for, and the least share of PV's moves that it explains: one real process of 114 reads
-/// like a controller, with 0.95.
-const POINTS: usize = 3000;
-const LEAST_R2: f64 = 0.98;
+/// Points in which a controller is looked for.
+pub const POINTS: usize = 3000;
 
 /// OP is at the set point on average, and PV is far from it. `false` without a set point.
 #[must_use]
@@ -30,7 +28,7 @@ pub fn by_controller(record: &Record) -> bool {
         return false;
     }
     let exchanged = Record::uniform(given.point_s(), given.pv.clone(), given.op());
-    controller::read(&exchanged).is_some_and(|reading| reading.r2 >= LEAST_R2)
+    controller::read(&exchanged).is_some_and(|reading| reading.r2 >= controller::CERTAIN_R2)
 }
 
 #[cfg(test)]
