@@ -9,7 +9,7 @@ use std::sync::Arc;
 use stiction::ident::controller::{self, Reading};
 use stiction::record::Record;
 use stiction::signal::detrend::{remove_line, remove_mean};
-use stiction::signal::stats;
+use stiction::signal::{lag, stats};
 use stiction::units::ns_from_s;
 use stiction::verdict::swapped::POINTS;
 
@@ -80,7 +80,7 @@ impl<'a> Seen<'a> {
 
     fn opposite_position(&self) -> bool {
         let Some(mv) = self.record.mv.as_deref() else { return false };
-        mv.len() == self.op.len() && stats::correlation(&self.op, mv) < OPPOSITE
+        mv.len() == self.op.len() && lag::correlation(&self.op, mv) < OPPOSITE
     }
 }
 

@@ -7,7 +7,7 @@ use nalgebra::Complex;
 
 use super::cycle::{Cycle, angle, length};
 use super::logit::Logit;
-use crate::signal::stats;
+use crate::signal::{lag, stats};
 
 /// Largest difference of the frequencies of a pair, as a logarithm of their ratio.
 pub(super) const NEAR: f64 = 0.12;
@@ -92,7 +92,7 @@ pub(super) fn compare(a: &Cycle, b: &Cycle) -> Option<Pair> {
         0.5 * libm::log(alone_a.variance.min(alone_b.variance)),
         libm::log((together.slope * frames as f64).abs() + 0.02),
         libm::log(periods),
-        stats::correlation(&envelope_a, &envelope_b),
+        lag::correlation(&envelope_a, &envelope_b),
         libm::log(rank_among_shifted(&alone_a.rest, &alone_b.rest, together.variance, frame)),
         covariance / (alone_a.variance * alone_b.variance).sqrt(),
         libm::log((a.frequency_hz - b.frequency_hz).abs() / frequency * periods + 0.02),

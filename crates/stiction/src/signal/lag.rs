@@ -1,6 +1,15 @@
-//! Delay of one signal behind another.
+//! Correlation of two signals, and the delay of one behind the other.
 
+use super::detrend::remove_mean;
 use super::stats;
+
+/// Correlation of two series of equal length; 0 where one is constant.
+#[must_use]
+pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let (a, b) = (remove_mean(a), remove_mean(b));
+    let scale = (stats::dot(&a, &a) * stats::dot(&b, &b)).sqrt();
+    if scale > 0.0 { stats::dot(&a, &b) / scale } else { 0.0 }
+}
 
 /// Delay of `pv` behind `op`, 0 to `most` points: where the normalised correlation of `op` with the later `pv` is largest in
 /// magnitude. 0 if either is constant.
@@ -8,9 +17,7 @@ use super::stats;
 pub fn of_largest_correlation(op: &[f64], pv: &[f64], most: usize) -> usize {
     let n = op.len().min(pv.len());
     let (x, y) = (&op[..n], &pv[..n]);
-    let (mx, my) = (stats::mean(x), stats::mean(y));
-    let x: Vec<f64> = x.iter().map(|v| v - mx).collect();
-    let y: Vec<f64> = y.iter().map(|v| v - my).collect();
+    let (x, y) = (remove_mean(x), remove_mean(y));
     let mut best = (0, 0.0);
     for lag in 0..=most.min(n.saturating_sub(2)) {
         let (a, b) = (&x[..n - lag], &y[lag..]);

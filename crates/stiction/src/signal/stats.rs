@@ -59,14 +59,6 @@ pub fn sum(x: &[f64]) -> f64 {
     ((sums[0] + sums[4]) + (sums[1] + sums[5])) + ((sums[2] + sums[6]) + (sums[3] + sums[7])) + tail
 }
 
-/// Correlation of two series of equal length; 0 where one is constant.
-#[must_use]
-pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let (a, b) = (super::detrend::remove_mean(a), super::detrend::remove_mean(b));
-    let scale = (dot(&a, &a) * dot(&b, &b)).sqrt();
-    if scale > 0.0 { dot(&a, &b) / scale } else { 0.0 }
-}
-
 /// Inner products of `a` with three others at once, in four running sums each; all of the length of `a` or longer.
 #[must_use]
 pub fn dot3(a: &[f64], b: [&[f64]; 3]) -> [f64; 3] {
