@@ -4,12 +4,12 @@
 //!
 //! `STICTIOND_SEED=N` runs one seed (a failure names its own), `STICTIOND_SEEDS=N` so many, `STICTIOND_SIM_DAYS=N` so long.
 
-mod beside;
 mod control;
 mod disk;
 mod edits;
 mod folder;
 mod leavers;
+mod neighbours;
 mod oracle;
 mod plant;
 mod receiver;

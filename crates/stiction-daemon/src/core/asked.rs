@@ -136,10 +136,10 @@ impl Core {
         answer(Err(why.to_owned()));
     }
 
-    /// Starts a diagnosis, beside the loops that may act on its loop.
+    /// Starts a diagnosis with the loops that may act on its loop as neighbours.
     pub(super) fn request_gap(&mut self, mut request: GapRequest) {
         let (id, number) = (request.id, request.number);
-        let neighbours = self.engine.beside(&request);
+        let neighbours = self.engine.neighbours_of(&request);
         if !neighbours.is_empty() {
             request.neighbours = neighbours.iter().map(RecordedNeighbour::neighbour).collect();
             let input = RecordedInput::GapNeighbours { number, neighbours };

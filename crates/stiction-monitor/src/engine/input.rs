@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::beside::RecordedNeighbour;
+use super::neighbours::RecordedNeighbour;
 use super::{Checkpoint, GroupStanding, SkipReason};
 use crate::alarm::Command;
 

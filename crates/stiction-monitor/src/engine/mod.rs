@@ -6,12 +6,12 @@
 //! loop in the order of the windows, so everything after them depends on that order and on event time alone.
 //! Gap diagnoses leave as [`GapRequest`]s of their own; see [`gaps`] for when.
 
-mod beside;
 mod due;
 pub mod gaps;
 mod input;
 mod looper;
 mod misplaced;
+mod neighbours;
 pub mod plant;
 mod settings;
 mod windowing;
@@ -28,11 +28,11 @@ use stiction::record::Sample;
 use stiction::signal::align::{AlignCounts, Aligner};
 use stiction::verdict::EstimateDocument;
 
-pub use beside::RecordedNeighbour;
 pub use due::{Request, Snapshot, WindowAnswer};
 pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
 pub use misplaced::{Misplaced, misplaced};
+pub use neighbours::RecordedNeighbour;
 pub use plant::{Comparison, GroupStanding, LoopWindow, PlantWatch};
 pub use settings::{EngineSettings, GapParams, LoopSettings, Origins, WindowParams};
 pub use windowing::{longest, section, windows};

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::misplaced::{Misplaced, misplaced};
-use super::{LoopSettings, beside};
+use super::{LoopSettings, neighbours};
 use crate::alarm::LoopContext;
 use crate::hash::short_hash;
 use stiction::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
@@ -213,7 +213,7 @@ pub struct GroupStanding {
     pub holds: bool,
     /// The other members, the source first: as many as a gap diagnosis takes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub(super) beside: Vec<String>,
+    pub(super) others: Vec<String>,
     /// Windows for which it still holds.
     windows_left: u8,
 }
@@ -226,15 +226,15 @@ impl GroupStanding {
         let is_active = source.is_some_and(alarms);
         let members = group.judgements.iter().map(|judgement| judgement.loop_name.as_str());
         let all: Vec<&str> = source.into_iter().chain(members.filter(|name| source != Some(*name))).collect();
-        let beside = |own: &str| {
-            let others = all.iter().filter(|name| **name != own).take(beside::MOST);
-            others.map(|name| (*name).to_owned()).collect()
+        let others = |own: &str| {
+            let names = all.iter().filter(|name| **name != own).take(neighbours::MOST);
+            names.map(|name| (*name).to_owned()).collect()
         };
         let of = |judgement: &MemberJudgement| Self {
             judgement: judgement.clone(),
             period_s: group.period_s,
             holds: judgement.masked && is_active && source != Some(judgement.loop_name.as_str()),
-            beside: beside(&judgement.loop_name),
+            others: others(&judgement.loop_name),
             windows_left: ANSWER_HOLDS,
         };
         group.judgements.iter().map(of).collect()

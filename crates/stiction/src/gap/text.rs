@@ -9,7 +9,7 @@ use super::document::{EffectNote, GapDocument, TestNote};
 use super::effects;
 use super::loop_run::Cycles;
 use super::sizes::percent;
-use super::types::{FromSp, NONE, UNKNOWN};
+use super::types::{Compared, FromSp, NONE, UNKNOWN};
 use crate::units::{duration, number, probability};
 pub use budget::{BudgetText, PartText, budget, tellable};
 use claim::Claim;
@@ -22,7 +22,7 @@ pub fn paragraph(d: &GapDocument) -> String {
     parts.push(match d.cause.id.as_str() {
         NONE => nothing(d),
         UNKNOWN => not_in_the_catalogue(d),
-        _ => d.named().map_or_else(|| format!("{} explains it", d.cause.id), |e| named(d, e)),
+        _ => d.named().map_or_else(|| without_fit(d), |e| named(d, e)),
     });
     parts.extend(budget::why_unknown(d));
     parts.extend(beside(d));
@@ -34,6 +34,25 @@ pub fn paragraph(d: &GapDocument) -> String {
         parts.push("the search ended early, so a better answer may exist (--budget gives it more time)".to_owned());
     }
     sentence(&parts.join("; "))
+}
+
+/// A cause that the search had no time to fit a free run with.
+fn without_fit(d: &GapDocument) -> String {
+    format!("{} {}", effect::noun(&d.cause.id), Claim::Shows.words(d.cause.probability))
+}
+
+/// What the comparison with other loops gave.
+fn other_loops(compared: &Compared) -> String {
+    let best = compared.best.as_ref().zip(compared.share).map_or_else(String::new, |(name, share)| {
+        let p =
+            compared.p_value.map_or_else(|| "too few periods for a p-value".to_owned(), |p| format!("p {}", number(p)));
+        format!("; the past of {name} predicts PV best, {} less error than without it ({p})", percent(100.0 * share))
+    });
+    let acts = compared.acts.as_ref().map_or_else(
+        || "none acts on PV in both halves of the record".to_owned(),
+        |name| format!("{name} acts on PV in both halves of the record"),
+    );
+    format!("{} compared{best}; {acts}", compared.offered)
 }
 
 /// A test by moves of OP.
@@ -83,6 +102,9 @@ fn conclusion(d: &GapDocument) -> String {
                 "Unknown: {} shows in the record, but closes less than a tenth of the gap.",
                 effect::noun(&e.id)
             ),
+            None if effects::kind(&d.cause.id) == effects::neighbour::EFFECT.id => {
+                format!("Outside the valve: {}.", without_fit(d))
+            }
             None => budget::cannot_be_told(d)
                 .unwrap_or_else(|| format!("Unknown: no effect of the catalogue explains the gap (p {p}).")),
         };
@@ -366,6 +388,9 @@ pub fn report(d: &GapDocument) -> String {
         row("closed loop", place::cycles(cycles));
     }
     budget::rows(d, &mut row);
+    if let Some(compared) = &d.neighbours {
+        row("other loops", other_loops(compared));
+    }
     let cut = if d.stopped_early { ", cut short" } else { "" };
     row("search", format!("{} model responses{cut}", d.evaluations));
     lines.join("\n")

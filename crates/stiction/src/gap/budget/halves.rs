@@ -1,7 +1,7 @@
 //! What the halves of a record say of an effect that was found in the whole.
 //!
-//! A drift, a bend, a sinusoid or another loop's load must be in both. A step, a ramp or wild values are local: the half around them must show
-//! them by itself, and a noise model fitted to the rest of the record must predict the half better with them than without.
+//! A drift, a bend, a sinusoid or another loop's load must be in both. A step, a ramp or wild values are local: the half around
+//! them must show them by itself, and a noise model fitted to the rest of the record must predict the half better with them than without.
 
 use super::arx::{Design, Fit, START};
 use super::search::{Model, Searched};
@@ -94,7 +94,7 @@ impl Judged<'_> {
             return None;
         }
         let order = self.model.base.order();
-        // Poles that were fitted without another loop's load have swallowed much of its cycle.
+        // A noise model that was fitted without another loop's load predicts much of its cycle.
         let from = match self.searched.added[self.effect].shape {
             Shape::Neighbour(..) => &self.searched.fit,
             _ => &self.model.base,

@@ -3,8 +3,8 @@
 //!
 //! The free run of [`crate::gap::diagnose`] asks whether one effect brings the model down to the noise. A real loop's
 //! disturbance wanders, so that none does. Here effects are judged by one-step predictions of a noise model ([`arx`]), added
-//! one by one ([`search`]), asked of both halves ([`halves`]) and put into one sum ([`parts`]). Of what the
-//! free run names the budget changes nothing, but for another loop's load that both halves confirm.
+//! one by one ([`search`]), asked of both halves ([`halves`]) and put into one sum ([`parts`]). It changes the cause only where
+//! both halves confirm the load of another loop.
 
 pub mod arx;
 pub mod document;
@@ -182,8 +182,8 @@ mod tests {
         assert!(names <= 1, "{names} of 20");
     }
 
-    /// A loop's signal whose cycle wanders, as a load.
-    fn wandering(seed: u64) -> Load {
+    /// A cycle whose phase drifts, as a load.
+    fn cycle_with_phase_drift(seed: u64) -> Load {
         let (mut noise, mut phase) = (Noise::new(seed, 4), 0.0);
         let values: Vec<f64> = (0..N)
             .map(|_| {
@@ -205,7 +205,7 @@ mod tests {
 
     #[test]
     fn another_loops_load_is_a_part_with_its_lag_where_both_halves_have_it() {
-        let load = wandering(2);
+        let load = cycle_with_phase_drift(2);
         let row = row_of_load(&load, |_| 0.6).unwrap();
         let size = |name: &str| row.parameters[name].value;
         assert_eq!(row.confirmed, Some(true));

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
+use super::super::budget::shapes::Shape;
 use super::super::budget::{Budget, Known};
 use super::super::candidate::MAX_PARAMS;
-use super::super::effects::neighbour::{EFFECT, id_of};
+use super::super::effects::neighbour::EFFECT;
 use super::super::express;
 use super::super::neighbour::{Load, Neighbour};
 use super::super::problem::{Problem, period_of};
@@ -99,10 +100,11 @@ fn acting(record: &Record, bands: Option<[f64; 2]>, loads: &[Load]) -> Option<St
         return None;
     }
     let budget = Budget::of(record, Known { bands, loads, ..Known::default() })?;
-    let added = budget.searched.added.iter().zip(&budget.confirmed);
-    let mut confirmed = added.filter(|(_, confirmed)| **confirmed).map(|(added, _)| added.shape.full_id());
-    let first = confirmed.find(|id| loads.iter().any(|load| id_of(&load.name) == *id))?;
-    loads.iter().find(|load| id_of(&load.name) == first).map(|load| load.name.clone())
+    let mut confirmed = budget.searched.added.iter().zip(&budget.confirmed).filter(|(_, confirmed)| **confirmed);
+    confirmed.find_map(|(added, _)| match &added.shape {
+        Shape::Neighbour(load, _) => Some(load.name.clone()),
+        _ => None,
+    })
 }
 
 /// The signals that tell nearly as much as the best one, each from its past, as loads.

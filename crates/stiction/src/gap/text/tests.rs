@@ -1,6 +1,7 @@
 //! Sentences that are made from the same numbers do not contradict each other.
 
 use super::super::document::{AlternativeNote, GapDocument};
+use super::super::types::Compared;
 use super::{answer, first, paragraph, report, summary};
 
 /// Words that no answer may hold together.
@@ -134,6 +135,28 @@ fn words_agree_with_the_figures_beside_them() {
         }
         assert!(report(&d).lines().count() > 5);
     }
+}
+
+#[test]
+fn another_loop_is_said_whether_it_acts_or_not_and_named_where_no_free_run_was_fitted() {
+    let mut d: GapDocument = serde_json::from_str(include_str!("../../../tests/golden/gap-backlash.json")).unwrap();
+    let compared = |acts: Option<&str>| Compared {
+        offered: 3,
+        best: Some("F7".to_owned()),
+        share: Some(0.2),
+        p_value: Some(0.02),
+        acts: acts.map(str::to_owned),
+        fitted: Vec::new(),
+    };
+    d.neighbours = Some(compared(None));
+    assert!(
+        report(&d).contains("3 compared; the past of F7 predicts PV best, 20 % less error than without it (p 0.02)")
+    );
+    assert!(report(&d).contains("none acts on PV in both halves"));
+    (d.neighbours, d.cause.id) = (Some(compared(Some("F7"))), "neighbour(F7)".to_owned());
+    assert!(report(&d).contains("F7 acts on PV in both halves"));
+    assert!(summary(&d)[0].starts_with("Outside the valve: "), "{}", summary(&d)[0]);
+    assert!(!paragraph(&d).contains("explains it"), "{}", paragraph(&d));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Gap diagnoses beside the loops that may act on theirs: offered by area, recorded, and replayed to the byte.
+//! Gap diagnoses with neighbours: offered by area, recorded, and replayed to the byte.
 
 use std::sync::{Arc, Mutex};
 

@@ -40,7 +40,7 @@ impl RecordedNeighbour {
 impl Engine {
     /// The loops that may act on that of a request, as far as they were recorded during its window; at most [`MOST`].
     #[must_use]
-    pub fn beside(&self, request: &GapRequest) -> Vec<RecordedNeighbour> {
+    pub fn neighbours_of(&self, request: &GapRequest) -> Vec<RecordedNeighbour> {
         let mut names: Vec<&str> = Vec::new();
         for name in self.candidates(request) {
             if *name != *request.loop_name && !names.contains(&name) {
@@ -54,7 +54,7 @@ impl Engine {
     fn candidates<'a>(&'a self, request: &GapRequest) -> impl Iterator<Item = &'a str> {
         let own = self.of(request.id);
         let place = &own.settings.place;
-        let group = own.group.iter().flat_map(|standing| standing.beside.iter());
+        let group = own.group.iter().flat_map(|standing| standing.others.iter());
         let mut area: Vec<&str> = Vec::new();
         if place.area.is_some() {
             let there = self.loops.iter().flatten().filter(|other| other.settings.place.area == place.area);
