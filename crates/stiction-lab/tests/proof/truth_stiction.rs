@@ -9,6 +9,7 @@ use stiction::signal::stats;
 use stiction::sim::slips::Law;
 use stiction::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
 use stiction_truth::fixture::{Draw, Loop, boxed};
+use stiction_truth::{Half, Regime, accuracy};
 
 fn params() -> AssessParams {
     AssessParams { always_fit: true, ..AssessParams::default() }
@@ -114,6 +115,16 @@ fn a_pure_stick_slip_cycle_gives_s_within_the_sampling() {
     // OP moves this much from sample to sample, so slips are not timed better.
     let step = stats::quantile(&run.record.op_path.windows(2).map(|w| (w[1] - w[0]).abs()).collect::<Vec<_>>(), 0.9);
     assert!((found.s.unwrap() - 4.0).abs() < 2.0 * step + 0.1, "s {:?}, step {step}", found.s);
+}
+
+#[test]
+fn slips_that_the_beginning_of_a_record_hides_are_found_in_a_later_cut() {
+    for (regime, seed) in [(Regime::HeStart, 61_002), (Regime::TrackingStart, 61_008), (Regime::LongPeriod, 61_010)] {
+        let case = accuracy(Half::Report, regime, seed);
+        let found = assess(&case.record(), &params());
+        let s = found.s.unwrap();
+        assert!(near(s, case.s.unwrap(), 0.005), "{regime:?} {seed}: {s}, not {:?}", case.s);
+    }
 }
 
 #[test]

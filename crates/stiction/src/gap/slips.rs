@@ -79,6 +79,8 @@ pub fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u6
         Length::Rounds(rounds) => {
             let mut settings = SearchSettings::usual();
             settings.rounds.truncate(rounds);
+            // The decision's probabilities were calibrated without them.
+            settings.cuts.count = 0;
             settings
         }
     };

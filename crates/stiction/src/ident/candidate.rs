@@ -3,6 +3,7 @@
 use super::class::{Class, Limits, Shape};
 use super::fit::{Fitted, Fitter, Freedom, Target};
 use crate::sim::slips::{FirstSlip, Law, Sequence, Stroke};
+use std::ops::Range;
 
 /// A record in normalised form: OP in spans, PV in standard deviations.
 #[derive(Debug, Clone)]
@@ -85,6 +86,20 @@ impl NormalisedRecord {
             }
         }
         out
+    }
+
+    /// Some of its points, as a record of their own.
+    #[must_use]
+    pub fn cut(&self, points: Range<usize>) -> Self {
+        let path = self.path[points.start * self.per_point..points.end * self.per_point].to_vec();
+        Self {
+            records: Self::records_of(&path),
+            path,
+            mean: self.mean[points.clone()].to_vec(),
+            still: self.still[points.clone()].to_vec(),
+            pv: self.pv[points].to_vec(),
+            ..*self
+        }
     }
 
     /// The first slip that `start` stands for.

@@ -142,7 +142,7 @@ fn estimate(problem: &Problem<'_>, options: &Options, laws: &[Law], rival: f64, 
     {
         made.spread = made.spread.or(&other.spread);
     }
-    made.evaluations = found.evaluations + search.whole().0.evaluations;
+    made.evaluations = search.evaluations();
     Some(made)
 }
 

@@ -34,7 +34,7 @@ const COMB: f64 = 1.5;
 const FOLLOWED_FOR: f64 = 0.02;
 /// Shares of fs between OP's first value and the stem before the record, and how far s goes (a share of it) until they are all
 /// tried again.
-const STEMS: [f64; 21] = [
+pub(super) const STEMS: [f64; 21] = [
     -0.98, -0.88, -0.78, -0.69, -0.59, -0.49, -0.39, -0.29, -0.2, -0.1, 0.0, 0.1, 0.2, 0.29, 0.39, 0.49, 0.59, 0.69,
     0.78, 0.88, 0.98,
 ];

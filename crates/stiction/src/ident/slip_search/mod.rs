@@ -10,6 +10,7 @@ mod around;
 pub mod candidate;
 mod classes;
 pub mod coarse_scan;
+mod cuts;
 pub mod evaluator;
 pub mod interval;
 pub mod local_search;

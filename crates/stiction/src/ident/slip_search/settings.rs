@@ -36,11 +36,26 @@ pub struct RoundSettings {
     pub last: usize,
 }
 
+/// Searches of later cuts of the record: what a part at its beginning cannot show, one from its middle may.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CutSettings {
+    /// Cuts.
+    pub count: usize,
+    /// Distance between the beginnings of two cuts, and length of a cut, shares of the record.
+    pub apart: f64,
+    /// See `apart`.
+    pub length: f64,
+    /// Best candidates of each law that continue from a cut.
+    pub starts: usize,
+}
+
 /// A whole search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SearchSettings {
     /// Rounds, in order.
     pub rounds: Vec<RoundSettings>,
+    /// Before the second round, where friction shows.
+    pub cuts: CutSettings,
     /// When processes are refined.
     pub near: Nearness,
     /// Share of PV that the best leaves below which every test asks for the class again: the right slips may have been kept in
@@ -64,6 +79,7 @@ pub struct SearchSettings {
     pub reads_pv: bool,
 }
 
+const CUTS: CutSettings = CutSettings { count: 2, apart: 0.3, length: 0.35, starts: 2 };
 const SCAN: ScanSettings = ScanSettings { budget: 250, least_s: 0.04, sizes: 40, jumps: 6, keep: [14, 4] };
 const ROUND: RoundSettings = RoundSettings {
     rho: 0.9,
@@ -95,6 +111,7 @@ impl SearchSettings {
         ];
         Self {
             rounds,
+            cuts: CUTS,
             near: Nearness::USUAL,
             closely: 0.03,
             behind: [1.5, 1.15],

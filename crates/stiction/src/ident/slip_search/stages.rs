@@ -26,7 +26,7 @@ const ROUNDING: f64 = 1e-9;
 /// Lag-1 autocorrelation from which no further test is needed to see that a residual is not white.
 const COLOURED: f64 = 0.12;
 /// Random steps on the whole record for what the part found.
-const CARRIED: usize = 60;
+pub(super) const CARRIED: usize = 60;
 /// Random steps on the way there, at each length.
 const ON_THE_WAY: usize = 24;
 /// Moves of a stem that moves seldom.
@@ -92,13 +92,13 @@ pub struct Found {
 
 /// One search.
 pub struct Search<'s, 'a> {
-    problem: &'a Problem<'a>,
-    request: &'s Request<'s>,
-    settings: &'s SearchSettings,
-    plain: View,
-    whole: Evaluator<'a>,
+    pub(super) problem: &'a Problem<'a>,
+    pub(super) request: &'s Request<'s>,
+    pub(super) settings: &'s SearchSettings,
+    pub(super) plain: View,
+    pub(super) whole: Evaluator<'a>,
     without: [Option<f64>; 4],
-    found: Found,
+    pub(super) found: Found,
     law_best: [f64; 2],
     /// Standard deviation of PV's white noise.
     noise_sd: f64,
@@ -142,8 +142,14 @@ impl<'s, 'a> Search<'s, 'a> {
         (&mut self.whole, &mut self.plain)
     }
 
+    /// Error models and valve signals computed so far.
+    #[must_use]
+    pub fn evaluations(&self) -> u64 {
+        self.found.evaluations + self.whole.evaluations
+    }
+
     /// Least error found so far.
-    fn best_sse(&self) -> f64 {
+    pub(super) fn best_sse(&self) -> f64 {
         self.law_best.into_iter().fold(f64::INFINITY, f64::min)
     }
 
@@ -154,6 +160,10 @@ impl<'s, 'a> Search<'s, 'a> {
         for (number, round) in self.settings.rounds.iter().enumerate() {
             let before = self.best_sse();
             self.found.rounds = number + 1;
+            if number == 1 && self.shows_friction() && self.search_cuts() {
+                self.found.ended = Ended::Noise;
+                break;
+            }
             if let Some(ended) = self.round(number, round) {
                 self.found.ended = ended;
                 break;
@@ -510,7 +520,7 @@ impl<'s, 'a> Search<'s, 'a> {
     }
 
     /// Keeps the best candidate of its law.
-    fn keep(&mut self, c: Candidate) {
+    pub(super) fn keep(&mut self, c: Candidate) {
         let least = &mut self.law_best[c.law as usize];
         if c.sse() < *least {
             *least = c.sse();
