@@ -7,14 +7,16 @@ use pyo3::types::PyBytes;
 use serde_json::json;
 
 use crate::columns::{Handed, bytes_of, enough, stamps_of};
-use crate::options::{Look, config};
+use crate::options::{Look, config, stamp};
 use crate::supervise::{Watch, on_threads, supervised, threads};
 use crate::{StictionError, refused};
 use stiction::gap::model_file::ModelFile;
 use stiction::gap::{Executor, GapError, effects, text};
-use stiction_monitor::analysis::Points;
-use stiction_monitor::analysis::gap::{BaseChoice, GapSettings, diagnose as diagnosed, neighbour, record};
+use stiction_monitor::analysis::gap::{
+    BaseChoice, DiagnosedWindow, GapSettings, decide_together, diagnose as diagnosed, neighbour, record,
+};
 use stiction_monitor::analysis::predictions::{Row, rows};
+use stiction_monitor::analysis::{Points, Section};
 
 /// Options.
 #[derive(FromPyObject)]
@@ -27,6 +29,7 @@ pub struct FitOverrides {
     seed: u64,
     threads: Option<usize>,
     neighbours: Vec<(String, Handed)>,
+    windows: Vec<(String, String)>,
 }
 
 impl FitOverrides {
@@ -53,9 +56,30 @@ impl FitOverrides {
     }
 }
 
+/// The sections to diagnose: several windows where they are given, else the one section.
+fn sections(section: Section, windows: &[(String, String)]) -> PyResult<Vec<Section>> {
+    if windows.is_empty() {
+        return Ok(vec![section]);
+    }
+    if section != Section::Whole {
+        return Err(refused("windows", "samples or window select a section, too; give one of them"));
+    }
+    let one = |(from, to): &(String, String)| {
+        Section::of_times(stamp("windows", from)?, stamp("windows", to)?).map_err(|e| refused("windows", e))
+    };
+    let found = windows.iter().map(one).collect::<PyResult<Vec<_>>>()?;
+    if found.len() < 2 {
+        Err(refused("windows", "gives one pair of times; give two or more, or window"))
+    } else {
+        Ok(found)
+    }
+}
+
 /// Threads and a clock for the search; stops it when its time is up or the caller is gone.
 struct Threads<'w> {
     threads: usize,
+    /// Models that earlier windows may have tried.
+    before: u64,
     until: Option<Instant>,
     watch: &'w Watch,
 }
@@ -66,7 +90,7 @@ impl Executor for Threads<'_> {
     }
 
     fn tick(&self, done: u64) -> bool {
-        self.watch.reached(done);
+        self.watch.reached(self.before + done);
         !self.watch.stopped() && self.until.is_none_or(|until| Instant::now() < until)
     }
 }
@@ -87,6 +111,7 @@ pub fn diagnose<'py>(
     let columns = columns.read()?;
     let (section, cut) = look.read()?;
     let settings = asked.read()?;
+    let sections = sections(section, &asked.windows)?;
     let mut others = Vec::new();
     for (other, handed) in asked.neighbours {
         others.push((other, handed.read()?));
@@ -96,17 +121,36 @@ pub fn diagnose<'py>(
     let work = move |watch: &Watch| {
         let (samples, mut notes) = enough(columns.all()).map_err(|e| format!("{name}: {e}"))?;
         let points = Points::of(&name, &samples, &config());
-        let (record, more) = record(&points, section, &cut).map_err(|e| e.to_string())?;
-        notes.extend(points.notes.iter().cloned().chain(more));
-        let mut options = settings.options(&record);
+        notes.extend(points.notes.iter().cloned());
+        let mut neighbours = Vec::new();
         for (other, columns) in &others {
             let (samples, _) = enough(columns.all()).map_err(|e| format!("neighbour {other}: {e}"))?;
-            options.neighbours.push(neighbour(&Points::of(other, &samples, &config()), &record)?);
+            neighbours.push(Points::of(other, &samples, &config()));
         }
-        watch.expect(options.budget_evaluations);
-        let until = settings.budget_s.map(|s| Instant::now() + Duration::from_secs_f64(s));
-        let executor = Threads { threads: team, until, watch };
-        let found = diagnosed(&name, record, &options, &executor).map_err(|e| format!("{name}: {e}"))?;
+        let mut windows = Vec::new();
+        for (at, section) in sections.iter().enumerate() {
+            let source = format!("window {}", at + 1);
+            let told =
+                |e: String| if sections.len() > 1 { format!("{name}, {source}: {e}") } else { format!("{name}: {e}") };
+            let (record, more) = record(&points, *section, &cut).map_err(|e| told(e.to_string()))?;
+            notes.extend(more.into_iter().filter(|note| !notes.contains(note)).collect::<Vec<_>>());
+            let mut options = settings.options(&record);
+            for other in &neighbours {
+                options.neighbours.push(neighbour(other, &record)?);
+            }
+            watch.expect(options.budget_evaluations * sections.len() as u64);
+            let until = settings.budget_s.map(|s| Instant::now() + Duration::from_secs_f64(s));
+            let before = options.budget_evaluations * at as u64;
+            let executor = Threads { threads: team, before, until, watch };
+            let alone = diagnosed(&name, record, &options, &executor).map_err(|e| told(e.to_string()))?;
+            windows.push(DiagnosedWindow { source, alone });
+        }
+        let (shown, found) = if windows.len() > 1 {
+            decide_together(&windows, &settings).map_err(|e| format!("{name}: {e}"))?
+        } else {
+            (0, windows.remove(0).alone)
+        };
+        let section = sections[shown];
         let whole = points.samples(section).map_err(|e| e.to_string())?;
         let rows = rows(&whole, &found.record, &found.diagnosis);
         let d = &found.document;

@@ -525,6 +525,7 @@ def diagnose(
     progress: Progress | None = None,
     samples: tuple[int, int] | None = None,
     window: tuple[Any, Any] | None = None,
+    windows: Iterable[tuple[Any, Any]] = (),
     downsample: float | None = None,
     downsample_like_toolbox: bool = False,
     detrend: Detrend | None = None,
@@ -538,7 +539,8 @@ def diagnose(
     clock.
     without: effects to exclude. pairs: also search pairs of effects when one explains the record. budget_s: time for the
     search, s [about 5 on two cores]; a search that runs out of time is not repeatable. progress: called with (models
-    tried, most models) in the calling thread; an exception in it, or Ctrl-C, stops the search.
+    tried, most models) in the calling thread; an exception in it, or Ctrl-C, stops the search. windows: two or more
+    pairs (from, to) of times; each window is diagnosed by itself, and the cause is decided from all, as `--pool` does.
     """
     name, columns = _tables.record(name, op, pv, ts_s, t, sp, mv, mode)
     look = _arrays.look(samples, window, downsample, downsample_like_toolbox, detrend)
@@ -554,6 +556,7 @@ def diagnose(
         "seed": _arrays.whole("seed", seed),
         "threads": None if threads is None else _arrays.whole("threads", threads, 1),
         "neighbours": [(str(other), _neighbour(other, given)) for other, given in (neighbours or {}).items()],
+        "windows": [_arrays.times("windows", pair) for pair in windows],
     }
     return gap_of(*_stiction.diagnose(name, columns, look, asked, _show.meter(progress)))
 

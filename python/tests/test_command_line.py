@@ -94,6 +94,23 @@ def test_the_gap(
     np.testing.assert_array_equal(written["held_out"].to_numpy() > 0, run.held_out)
 
 
+def test_windows_that_are_judged_together(command: Command, tables: dict[str, Path]) -> None:
+    path = table(tables, "sticking-FIC101")
+    given = columns(path)
+    ends = [str(given["t"][at]) for at in (0, 449, 450, 899)]
+    windows = [(ends[0], ends[1]), (ends[2], ends[3])]
+    flags = [flag for window in windows for flag in ("--window", ",".join(window))]
+    told = json.loads(command("gap", path, "--base", "linear", "--pool", *flags, "--format", "json"))
+    found = stiction.diagnose(**given, name=path.stem, base="linear", windows=windows).to_dict()
+    assert [window.pop("source") for window in found["pooled"]] == ["window 1", "window 2"]
+    assert all(window.pop("source").endswith(f"window {at}") for at, window in enumerate(told["pooled"], 1))
+    assert json.dumps(found) == json.dumps(told)
+    with pytest.raises(stiction.StictionError, match="one pair of times; give two or more, or window"):
+        stiction.diagnose(**given, windows=windows[:1])
+    with pytest.raises(stiction.StictionError, match="the same data as window 1"):
+        stiction.diagnose(**given, base="linear", windows=windows[:1] * 2)
+
+
 def test_the_gap_is_the_same_on_any_number_of_threads(sticking: stiction.Simulation) -> None:
     found = [
         stiction.diagnose(sticking.op[:300], sticking.pv[:300], 1.0, base="linear", threads=threads).to_json()

@@ -156,7 +156,7 @@ fn a_persons_wish_that_finds_no_place_does_not_free_the_loops_day() {
     let unasked = |reasons: Vec<(usize, GapReason)>| reasons.iter().filter(|(_, r)| *r != GapReason::Operator).count();
     assert_eq!(unasked(rig.asked()), 1);
     let mut events = Vec::new();
-    let number = rig.engine.run_gap(rig.id, Some("ann"), &mut events).unwrap();
+    let number = rig.engine.run_gap(rig.id, Some("ann"), false, &mut events).unwrap();
     rig.engine.skip_gap(rig.id, number, SkipReason::QueueFull, &mut events);
     rig.handle(events);
     for k in 15 * 60..20 * 60 {
@@ -184,7 +184,7 @@ fn switched_off_it_only_answers_people() {
     let mut rig = hours(40, off, Then::Nothing, falls_to(60.0));
     assert!(rig.asked.is_empty());
     let mut events = Vec::new();
-    assert_eq!(rig.engine.run_gap(rig.id, Some("ann"), &mut events), Ok(0));
+    assert_eq!(rig.engine.run_gap(rig.id, Some("ann"), false, &mut events), Ok(0));
     rig.handle(events);
     let request = &rig.asked[0].1;
     assert_eq!((request.reason, request.by.as_deref(), request.number), (GapReason::Operator, Some("ann"), 0));
@@ -198,7 +198,7 @@ fn a_loop_without_data_is_refused_with_both_numbers() {
     for k in 0..20 {
         rig.push(k * SECOND, k as f64, 1.0);
     }
-    let refusal = rig.engine.run_gap(rig.id, None, &mut Vec::new()).unwrap_err().to_string();
+    let refusal = rig.engine.run_gap(rig.id, None, false, &mut Vec::new()).unwrap_err().to_string();
     assert!(refusal.contains("120") && refusal.chars().next().is_some_and(|c| c.is_ascii_digit()), "{refusal}");
 }
 

@@ -196,13 +196,20 @@ impl Replay {
             }
             RecordedInput::GapRun { by, .. } => {
                 // A run that was recorded was not refused.
-                let _ = self.engine.run_gap(id, by.as_deref(), &mut self.events);
+                let _ = self.engine.run_gap(id, by.as_deref(), false, &mut self.events);
             }
             RecordedInput::GapNeighbours { number, neighbours } => {
                 if let Some((request, _)) =
                     self.gaps.entry(id).or_default().iter_mut().find(|(r, _)| r.number == number)
                 {
                     request.neighbours = neighbours.iter().map(RecordedNeighbour::neighbour).collect();
+                }
+            }
+            RecordedInput::GapEarlier { number, windows } => {
+                if let Some((request, _)) =
+                    self.gaps.entry(id).or_default().iter_mut().find(|(r, _)| r.number == number)
+                {
+                    request.earlier = windows;
                 }
             }
             RecordedInput::GapSkip { number, reason } => {

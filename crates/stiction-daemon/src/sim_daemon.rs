@@ -221,10 +221,11 @@ impl SimDaemon {
         most
     }
 
-    /// A person asks for a gap diagnosis; false where the daemon is too busy for it.
-    pub fn ask_gap(&self, loop_name: &str, by: &str, answer: Answer) -> bool {
+    /// A person asks for a gap diagnosis, decided with earlier ones where `pool` says so; false where the daemon is too busy
+    /// for it.
+    pub fn ask_gap(&self, loop_name: &str, by: &str, pool: bool, answer: Answer) -> bool {
         let (loop_name, by) = (loop_name.to_owned(), Some(by.to_owned()));
-        self.control.try_send(Control::GapRun { loop_name, by, answer }).is_ok()
+        self.control.try_send(Control::GapRun { loop_name, by, pool, answer }).is_ok()
     }
 
     /// Does the gap diagnoses that wait, each given by `diagnose`; says how many.

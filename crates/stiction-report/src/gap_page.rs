@@ -116,6 +116,8 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
                             }
                         }
                         @if let Some(from_sp) = &d.from_sp { dt { "From SP" } dd { (text::from_sp(from_sp)) "." } }
+                        @if let Some(windows) = text::windows(d) { dt { "Windows" } dd { (windows) "." } }
+                        @if let Some(compared) = text::other_loops(d) { dt { "Other loops" } dd { (compared) "." } }
                         @if let Some(cycles) = &d.closed_loop { dt { "Closed loop" } dd { (text::cycles(cycles)) "." } }
                         dt { "Record" } dd {
                             (from_to(d.window.start_ns, d.window.end_ns)) ", " (d.window.samples) " samples of " (number(d.window.ts_s)) " s, "

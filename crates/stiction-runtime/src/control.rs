@@ -35,6 +35,8 @@ pub enum Control {
         loop_name: String,
         /// Who asks.
         by: Option<String>,
+        /// Whether the cause is decided from the windows of earlier diagnoses, too.
+        pool: bool,
         /// Where the answer goes, once there is one.
         answer: Answer,
     },

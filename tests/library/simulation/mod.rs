@@ -12,6 +12,7 @@ mod leavers;
 mod neighbours;
 mod oracle;
 mod plant;
+mod pooled;
 mod receiver;
 mod refill;
 
@@ -334,7 +335,7 @@ impl Simulation {
             let name = Plant::name(below(&mut self.random, LOOPS as u32) as usize);
             let answers = self.gap_answers.clone();
             let answer = Box::new(move |result| answers.lock().unwrap().push(result));
-            self.run.gap_asked += u64::from(self.stage.ask_gap(&name, "ann", answer));
+            self.run.gap_asked += u64::from(self.stage.ask_gap(&name, "ann", false, answer));
             self.stage.turn();
         }
         let mut skipped = 0;

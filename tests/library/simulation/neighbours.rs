@@ -20,7 +20,7 @@ const DRIVER: &str = "DRIVER";
 const FAR: &str = "FAR";
 
 /// Samples of all loops in the order of their times.
-fn play(stage: &mut SimDaemon, loops: &[(&str, &Record)]) {
+pub fn play(stage: &mut SimDaemon, loops: &[(&str, &Record)]) {
     let mut samples: Vec<(i64, String, f64)> = Vec::new();
     for (name, record) in loops {
         for (k, (op, pv)) in record.op().iter().zip(&record.pv).enumerate() {
@@ -55,7 +55,7 @@ fn a_diagnosis_is_offered_the_loops_of_its_area_and_replays_to_the_byte() {
 
     let answered = Arc::new(Mutex::new(None));
     let told = answered.clone();
-    assert!(stage.ask_gap(TARGET, "ann", Box::new(move |answer| *told.lock().unwrap() = Some(answer))));
+    assert!(stage.ask_gap(TARGET, "ann", false, Box::new(move |answer| *told.lock().unwrap() = Some(answer))));
     stage.turn();
     let mut offered: Vec<String> = Vec::new();
     let diagnose = |request: &GapRequest| {

@@ -81,7 +81,7 @@ impl Core {
     }
 
     /// A person asks for a diagnosis. Who asks while one is under way is answered with that one.
-    pub(super) fn run_gap(&mut self, loop_name: &str, by: Option<String>, answer: Answer) {
+    pub(super) fn run_gap(&mut self, loop_name: &str, by: Option<String>, pool: bool, answer: Answer) {
         if !self.config.shard.owns(loop_name) {
             return;
         }
@@ -119,7 +119,7 @@ impl Core {
                 &format!("{} diagnoses wait already: try again later", gaps::QUEUE),
             );
         }
-        match self.engine.run_gap(id, by.as_deref(), &mut self.events) {
+        match self.engine.run_gap(id, by.as_deref(), pool, &mut self.events) {
             Ok(number) => {
                 let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
                 self.record(id, Kind::Input, &RecordedInput::GapRun { number, by }, at_ns);
@@ -136,13 +136,17 @@ impl Core {
         answer(Err(why.to_owned()));
     }
 
-    /// Starts a diagnosis with the loops that may act on its loop as neighbours.
+    /// Starts a diagnosis with the loops that may act on its loop as neighbours, and records all it is given.
     pub(super) fn request_gap(&mut self, mut request: GapRequest) {
         let (id, number) = (request.id, request.number);
         let neighbours = self.engine.neighbours_of(&request);
         if !neighbours.is_empty() {
             request.neighbours = neighbours.iter().map(RecordedNeighbour::neighbour).collect();
             let input = RecordedInput::GapNeighbours { number, neighbours };
+            self.record(id, Kind::Input, &input, request.record.end_ns);
+        }
+        if !request.earlier.is_empty() {
+            let input = RecordedInput::GapEarlier { number, windows: request.earlier.clone() };
             self.record(id, Kind::Input, &input, request.record.end_ns);
         }
         if self.diagnoser.requests.try_send(request).is_err() {

@@ -348,7 +348,7 @@ impl Core {
     fn obey(&mut self, wish: Control) {
         match wish {
             Control::Command { loop_name, command, answer } => self.take_command(&loop_name, &command, answer),
-            Control::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
+            Control::GapRun { loop_name, by, pool, answer } => self.run_gap(&loop_name, by, pool, answer),
             Control::GetWindow { loop_name, end_ns, answer } => self.get_window(&loop_name, end_ns, answer),
             Control::Edit { edit, answer } => {
                 self.edit(*edit);

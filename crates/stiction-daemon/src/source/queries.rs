@@ -122,7 +122,8 @@ impl Queries {
             return;
         }
         let by = asked.query().and_then(|q| q.parameters().get("by")).filter(|by| !by.is_empty()).map(str::to_owned);
-        self.pass_on(asked, |answer| Control::GapRun { loop_name, by, answer });
+        let pool = asked.query().is_some_and(|q| q.parameters().contains_key("pool"));
+        self.pass_on(asked, |answer| Control::GapRun { loop_name, by, pool, answer });
     }
 
     /// Hands a wish to the engine. Where its queue is full the answer is dropped, and the query ends with that.

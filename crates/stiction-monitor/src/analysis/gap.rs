@@ -133,17 +133,15 @@ pub struct DiagnosedWindow {
 /// # Errors
 /// A window that does not fit the others, with its name.
 pub fn decide_together(windows: &[DiagnosedWindow], settings: &GapSettings) -> Result<(usize, Diagnosed), PoolError> {
-    let each: Vec<pool::Window<'_>> = windows
-        .iter()
-        .map(|w| pool::Window { source: &w.source, record: &w.alone.record, diagnosis: &w.alone.diagnosis })
-        .collect();
-    let pooled = pool::decide_together(&each)?;
-    let alone = &windows[pooled.shown].alone;
-    let (record, diagnosis) = (alone.record.clone(), pooled.diagnosis);
+    let each: Vec<pool::Window> =
+        windows.iter().map(|w| pool::Window::of(&w.source, &w.alone.record, &w.alone.diagnosis)).collect();
+    let together = pool::decide_together(&each)?;
+    let alone = &windows[together.clearest].alone;
+    let (record, diagnosis) = (alone.record.clone(), alone.diagnosis.with_answer_of(&together));
     let options = settings.options(&record);
     let location = locate(&record, &Subject::of(&diagnosis, options.period_points, options.seed));
     let name = &alone.document.loop_name;
     let mut document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
-    document.pooled = pooled.windows;
-    Ok((pooled.shown, Diagnosed { document, record, diagnosis }))
+    document.pooled = pool::notes(&each, together.clearest);
+    Ok((together.clearest, Diagnosed { document, record, diagnosis }))
 }

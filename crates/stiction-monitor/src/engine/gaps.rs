@@ -20,11 +20,13 @@ use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
 use stiction::gap::locate::{Subject, locate};
 use stiction::gap::model::{self, Model};
+use stiction::gap::pool;
 use stiction::gap::{self, Base, Executor, GapError, GapOptions, Neighbour};
 use stiction::ident::free_run::{Fixed, free_run};
 use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::sim::slips::Law;
+use stiction::units::format_rfc3339;
 use stiction::verdict::Assessment;
 
 /// Points of fit below the loop's median from which a window departs.
@@ -35,6 +37,10 @@ pub const GAP_GROWTH: f64 = 1.5;
 pub const IN_A_ROW: u32 = 3;
 /// Event time between two diagnoses that nobody asked for: a day, ns.
 pub const REST_NS: i64 = 86_400_000_000_000;
+/// Windows of earlier diagnoses that are remembered.
+pub(super) const POOLED: usize = 4;
+/// Event time for which a diagnosis is remembered: 30 days, ns.
+pub(super) const POOLED_NS: i64 = 30 * REST_NS;
 /// Windows that make what is usual.
 const REMEMBERED: usize = 24;
 /// Fewest of them to speak of.
@@ -250,6 +256,8 @@ pub struct GapRequest {
     pub model: Option<Model>,
     /// Other loops on the record's grid, each a possible load.
     pub neighbours: Vec<Neighbour>,
+    /// Earlier windows of the loop from which the cause is decided, too.
+    pub earlier: Vec<pool::Window>,
     /// Model responses that it may compute.
     pub budget_evaluations: u64,
     /// Hash of the configuration.
@@ -273,11 +281,21 @@ impl GapRequest {
             neighbours: self.neighbours.clone(),
             ..GapOptions::default()
         };
-        let diagnosis = gap::diagnose(&self.record, &options, executor)?;
-        diagnosis.check_base()?;
+        let alone = gap::diagnose(&self.record, &options, executor)?;
+        alone.check_base()?;
+        let source = format!("window to {}", format_rfc3339(self.record.end_ns));
+        let own = pool::Window::of(&source, &self.record, &alone);
+        let windows: Vec<pool::Window> = self.earlier.iter().chain([&own]).cloned().collect();
+        let together = (windows.len() > 1).then(|| pool::decide_together(&windows)).transpose()?;
+        let diagnosis = together.map_or_else(|| alone.clone(), |together| alone.with_answer_of(&together));
         let location = locate(&self.record, &Subject::of(&diagnosis, period_points, options.seed));
+        let mut document = GapDocument::new(&self.loop_name, &self.record, &options.base, &diagnosis, location);
+        if !self.earlier.is_empty() {
+            document.pooled = pool::notes(&windows, self.earlier.len());
+        }
         Ok(PublishedGap {
-            document: GapDocument::new(&self.loop_name, &self.record, &options.base, &diagnosis, location),
+            document,
+            own: Box::new(own),
             reason: self.reason,
             by: self.by.clone(),
             config_hash: self.config_hash.to_string(),
@@ -292,6 +310,9 @@ pub struct PublishedGap {
     /// The diagnosis.
     #[serde(flatten)]
     pub document: GapDocument,
+    /// What the window by itself adds to a later decision.
+    #[serde(skip)]
+    pub own: Box<pool::Window>,
     /// Why it was made.
     pub reason: GapReason,
     /// Who asked, where a person did.
@@ -325,4 +346,10 @@ pub enum GapRefusal {
         /// Points needed.
         needed: usize,
     },
+    /// No earlier window to decide together with.
+    #[error(
+        "no diagnosis of an earlier window is remembered, of the last {} days and since the daemon started: ask without pool",
+        POOLED_NS / 86_400_000_000_000
+    )]
+    NothingEarlier,
 }

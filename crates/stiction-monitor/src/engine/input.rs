@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::neighbours::RecordedNeighbour;
 use super::{Checkpoint, GroupStanding, SkipReason};
 use crate::alarm::Command;
+use stiction::gap::pool;
 
 /// Schema name of a recorded input.
 pub const INPUT_SCHEMA: &str = "stictiond.input.v1";
@@ -39,6 +40,13 @@ pub enum RecordedInput {
         number: u64,
         /// The loops.
         neighbours: Vec<RecordedNeighbour>,
+    },
+    /// Earlier windows of the loop from which a gap diagnosis is decided, too.
+    GapEarlier {
+        /// Its place among the loop's diagnoses.
+        number: u64,
+        /// The windows, oldest first.
+        windows: Vec<pool::Window>,
     },
     /// A gap diagnosis that was not made.
     GapSkip {

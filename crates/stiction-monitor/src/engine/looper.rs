@@ -4,12 +4,13 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::due::{Computed, Request, Snapshot, Waiting, WindowAnswer};
-use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
+use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, POOLED, POOLED_NS, PublishedGap};
 use super::plant::{GroupStanding, LoopWindow};
 use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, SkipReason, StateDocument, StreamState};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
 use stiction::gap::MIN_POINTS;
 use stiction::gap::model::Model;
+use stiction::gap::pool;
 use stiction::record::{Record, Sample};
 use stiction::signal::align::{Aligned, Aligner};
 use stiction::signal::history::History;
@@ -40,6 +41,8 @@ pub(super) struct Loop {
     waiting: VecDeque<Waiting>,
     gaps: u64,
     gaps_waiting: VecDeque<WaitingGap>,
+    /// Windows of the latest diagnoses, none of which overlaps another.
+    diagnosed: VecDeque<pool::Window>,
     /// After a restart, the end of the last window that the alarm has taken: the recording may end before it, and none is
     /// made twice.
     taken_ns: Option<i64>,
@@ -59,6 +62,7 @@ impl Loop {
             waiting: VecDeque::new(),
             gaps: 0,
             gaps_waiting: VecDeque::new(),
+            diagnosed: VecDeque::new(),
             taken_ns: None,
             settings,
         }
@@ -194,7 +198,7 @@ impl Loop {
             out.push(Event::Window(id, Box::new(LoopWindow::new(record, own, &self.settings))));
         }
         if let Some((record, (reason, model))) = departed {
-            self.ask_gap(id, (reason, None), record, model, hash, out);
+            self.ask_gap(id, (reason, None), (record, model, Vec::new()), hash, out);
         }
     }
 
@@ -215,11 +219,12 @@ impl Loop {
         Some(Snapshot::up_to(&self.history, end_ns))
     }
 
-    /// A person asks for a diagnosis of the latest data, cut as a window would be that ended now.
+    /// A person asks for a diagnosis of the latest data, cut as a window would be that ended now. With `pool` the cause is
+    /// decided from the windows of earlier diagnoses, too.
     pub fn run_gap(
         &mut self,
         id: LoopId,
-        by: Option<&str>,
+        (by, pool): (Option<&str>, bool),
         hash: &Arc<str>,
         out: &mut Vec<Event>,
     ) -> Result<u64, GapRefusal> {
@@ -228,16 +233,33 @@ impl Loop {
         let Some(record) = record.filter(|_| points >= MIN_POINTS) else {
             return Err(GapRefusal::TooShort { points, needed: MIN_POINTS });
         };
+        let earlier = if pool { self.earlier_than(&record) } else { Vec::new() };
+        if pool && earlier.is_empty() {
+            return Err(GapRefusal::NothingEarlier);
+        }
         let (asked, model) = ((GapReason::Operator, by.map(str::to_owned)), self.gap.model().cloned());
-        Ok(self.ask_gap(id, asked, Arc::new(record), model, hash, out))
+        Ok(self.ask_gap(id, asked, (Arc::new(record), model, earlier), hash, out))
+    }
+
+    /// Windows of earlier diagnoses that end before a record begins.
+    fn earlier_than(&self, record: &Record) -> Vec<pool::Window> {
+        let age_ns = |window: &&pool::Window| record.start_ns.saturating_sub(window.end_ns);
+        self.diagnosed.iter().filter(|window| (0..=POOLED_NS).contains(&age_ns(window))).cloned().collect()
+    }
+
+    fn remember_diagnosis(&mut self, window: pool::Window) {
+        self.diagnosed.retain(|earlier| earlier.end_ns <= window.start_ns);
+        if self.diagnosed.len() == POOLED {
+            self.diagnosed.pop_front();
+        }
+        self.diagnosed.push_back(window);
     }
 
     fn ask_gap(
         &mut self,
         id: LoopId,
         (reason, by): (GapReason, Option<String>),
-        record: Arc<Record>,
-        model: Option<Model>,
+        (record, model, earlier): (Arc<Record>, Option<Model>, Vec<pool::Window>),
         hash: &Arc<str>,
         out: &mut Vec<Event>,
     ) -> u64 {
@@ -253,6 +275,7 @@ impl Loop {
             record,
             model,
             neighbours: Vec::new(),
+            earlier,
             budget_evaluations: self.settings.gap.budget_evaluations,
             config_hash: hash.clone(),
             daemon: None,
@@ -266,7 +289,10 @@ impl Loop {
         waiting.answer = Some(answer);
         while self.gaps_waiting.front().is_some_and(|w| w.answer.is_some()) {
             let document = self.gaps_waiting.pop_front().and_then(|w| w.answer).flatten();
-            out.extend(document.map(|document| Event::Gap(id, Box::new(document))));
+            if let Some(document) = document {
+                self.remember_diagnosis((*document.own).clone());
+                out.push(Event::Gap(id, Box::new(document)));
+            }
         }
     }
 

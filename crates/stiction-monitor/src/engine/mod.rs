@@ -355,13 +355,20 @@ impl Engine {
         self.of(id).waiting()
     }
 
-    /// Asks for a diagnosis of a loop as it is now, in the name of a person; gives its number.
+    /// Asks for a diagnosis of a loop as it is now, in the name of a person; gives its number. With `pool` the cause is decided
+    /// from earlier diagnoses, too; the recording must hold their windows as an input.
     ///
     /// # Errors
     /// [`GapRefusal`] where too little is held of the loop.
-    pub fn run_gap(&mut self, id: LoopId, by: Option<&str>, out: &mut Vec<Event>) -> Result<u64, GapRefusal> {
+    pub fn run_gap(
+        &mut self,
+        id: LoopId,
+        by: Option<&str>,
+        pool: bool,
+        out: &mut Vec<Event>,
+    ) -> Result<u64, GapRefusal> {
         let (from, hash) = (out.len(), self.settings.origin_of(&self.of(id).name));
-        let asked = self.of_mut(id).run_gap(id, by, &hash, out);
+        let asked = self.of_mut(id).run_gap(id, (by, pool), &hash, out);
         self.sign(&mut out[from..]);
         asked
     }

@@ -56,6 +56,9 @@ struct Commanded {
 struct Asking {
     /// The name.
     by: String,
+    /// Whether the cause is decided from the windows of earlier diagnoses, too.
+    #[serde(default)]
+    pool: bool,
 }
 
 pub(super) fn operations() -> Vec<Operation<Shared>> {
@@ -112,7 +115,7 @@ async fn command(
 async fn diagnose(
     State(live): State<Shared>,
     PathName(loop_name): PathName,
-    JsonBody(Asking { by }): JsonBody<Asking>,
+    JsonBody(Asking { by, pool }): JsonBody<Asking>,
 ) -> Answered<Value> {
-    live.wish(DIAGNOSIS_WITHIN, |answer| Control::GapRun { loop_name, by: Some(by), answer }).await.map(Json)
+    live.wish(DIAGNOSIS_WITHIN, |answer| Control::GapRun { loop_name, by: Some(by), pool, answer }).await.map(Json)
 }

@@ -63,6 +63,10 @@ struct Words {
     indicators: Vec<Indicated>,
     /// The gap diagnosis.
     gap: Option<String>,
+    /// The windows that were decided together, where there are several.
+    windows: Option<String>,
+    /// What its comparison with other loops gave.
+    other_loops: Option<String>,
     /// What PV is made of, by that diagnosis.
     budget: Option<text::BudgetText>,
     /// What the diagnosed record can tell.
@@ -125,6 +129,7 @@ async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<D
     let mut words = newest.estimate.as_deref().map(|e| words_of(&e.assessment, op_range)).unwrap_or_default();
     if let Some(read) = gap.as_ref().and_then(|g| serde_json::from_value::<GapDocument>(g.clone()).ok()) {
         words.gap = Some(text::paragraph(&read));
+        (words.windows, words.other_loops) = (text::windows(&read), text::other_loops(&read));
         words.budget = text::budget(&read);
         words.tellable = text::tellable(&read);
     }
@@ -162,6 +167,8 @@ fn words_of(a: &Assessment, op_range: Option<[f64; 2]>) -> Words {
             })
             .collect(),
         gap: None,
+        windows: None,
+        other_loops: None,
         budget: None,
         tellable: Vec::new(),
     }

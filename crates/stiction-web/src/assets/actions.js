@@ -89,8 +89,8 @@ export async function review(loop, label) {
   return answer?.review ?? null;
 }
 
-/** Asks for the name and requests a gap diagnosis; resolves to the document, or null. */
-export async function runGap(loop, started) {
+/** Asks for the name and requests a gap diagnosis, with `pool` decided with earlier ones; resolves to the document, or null. */
+export async function runGap(loop, pool, started) {
   let by = localStorage.getItem(NAME);
   if (!by) {
     const values = await ask({ title: `Run the gap diagnosis: ${loop}`, intro: "The diagnosis takes up to a minute. Estimates continue meanwhile.", fields: [name()], submit: "Run" });
@@ -99,7 +99,7 @@ export async function runGap(loop, started) {
     localStorage.setItem(NAME, by);
   }
   started();
-  return api.post(api.loopPath(loop, "/gap"), { by });
+  return api.post(api.loopPath(loop, "/gap"), { by, pool });
 }
 
 /** Buttons for an alarm; `done(document, review)` after each. `sticks`: what the program says, which people judge. */

@@ -58,6 +58,8 @@ function report(gap, words, row) {
       gap.forward ? item("Forward prediction", `${format.number(gap.forward.gap_before)} before, ${format.number(gap.forward.gap_after)} ${pv} after`) : null,
       gap.from_sp ? item("Closed loop from SP", `predicts ${format.percent(Math.max(0, gap.from_sp.base_pct / 100))} of PV’s variance${gap.from_sp.after_pct == null ? "" : `, with the cause ${format.percent(Math.max(0, gap.from_sp.after_pct / 100))}`}; PV = SP would predict ${format.percent(Math.max(0, gap.from_sp.sp_pct / 100))}`) : null,
       gap.alternatives?.length ? item("Else", gap.alternatives.slice(0, 3).map((a) => `${plain(a.id)} (p ${format.probability(a.probability)})`).join(", ")) : null,
+      words.windows ? item("Windows", words.windows) : null,
+      words.other_loops ? item("Other loops", words.other_loops) : null,
       test(gap.next_test),
       item("Section", `${format.recent(format.millis(gap.window.start))} to ${format.recent(format.millis(gap.window.end))}, base: ${gap.base.source === "linear" ? "a valve without friction" : "a sticking valve and a first-order process"}`)),
     effects(gap.effects ?? [], pv),
@@ -69,21 +71,22 @@ function report(gap, words, row) {
 export function gap(root, loop) {
   const body = h("div");
   const status = h("div", { class: "row", role: "status" });
-  const button = h("button", { class: "button", type: "button", onclick: () => run() }, "Run the diagnosis");
-  fill(root, body, h("div", { class: "row" }, button, status));
+  const button = h("button", { class: "button", type: "button", onclick: () => run(false) }, "Run the diagnosis");
+  const together = h("button", { class: "button", type: "button", hidden: true, title: "Decides the cause from up to four earlier diagnoses, too", onclick: () => run(true) }, "Run with earlier windows");
+  fill(root, body, h("div", { class: "row" }, button, together, status));
   button.hidden = store.site?.commands === false;
 
-  async function run() {
+  async function run(pool) {
     let clock = null;
     try {
       const started = () => {
         const from = Date.now();
         const spent = h("span", { "aria-hidden": "true" });
-        button.disabled = true;
+        button.disabled = together.disabled = true;
         clock = setInterval(() => fill(spent, format.duration(Math.round((Date.now() - from) / 1000))), 500);
         fill(status, h("progress", { "aria-label": "Gap diagnosis" }), " fitting all effects of the catalogue … ", spent);
       };
-      if (await runGap(loop.name, started)) {
+      if (await runGap(loop.name, pool, started)) {
         await loop.reload(true);
         fill(status, "Done.");
       }
@@ -91,7 +94,7 @@ export function gap(root, loop) {
       fill(status, problem(error.message));
     }
     clearInterval(clock);
-    button.disabled = false;
+    button.disabled = together.disabled = false;
   }
 
   loop.onDocument(({ gap: document, words, row, estimate }) => {
@@ -99,5 +102,6 @@ export function gap(root, loop) {
     else fill(body, h("p", { class: "note" }, estimate ? "No diagnosis yet. It shows where the model differs from the record, which effect causes the difference, and how much of the gap that effect closes." : "There is no window to diagnose yet."));
     fill(button, document ? "Run the diagnosis again" : "Run the diagnosis");
     button.hidden = !estimate || store.site?.commands === false;
+    together.hidden = button.hidden || !document;
   });
 }

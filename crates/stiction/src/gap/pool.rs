@@ -5,11 +5,12 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use super::decide::{decide, holds_out};
+use super::decide::{Decision, decide, holds_out};
 use super::evidence::{Basis, Contender, Evidence, Left};
 use super::judged::Diagnosis;
 use super::probability::Calibration;
-use super::types::{Alone, NONE, NoiseModels, UNKNOWN};
+pub use super::types::PoolError;
+use super::types::{Alone, Cause, NONE, NoiseModels, UNKNOWN};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::units::Moment;
@@ -17,15 +18,53 @@ use crate::units::Moment;
 /// Windows in which a trace must stand: one may have it by chance.
 const WITH_TRACE: usize = 2;
 
-/// A window and its own diagnosis.
-#[derive(Debug, Clone, Copy)]
-pub struct Window<'w> {
+/// What a window adds to a decision from several.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Window {
     /// Where it comes from, for messages and documents.
-    pub source: &'w str,
-    /// What was recorded.
-    pub record: &'w Record,
-    /// The diagnosis of it alone.
-    pub diagnosis: &'w Diagnosis,
+    pub source: String,
+    /// Timestamp of its first sample, ns since 1970.
+    pub start_ns: i64,
+    /// Timestamp of its last sample, ns since 1970.
+    pub end_ns: i64,
+    /// Raw samples.
+    pub samples: u64,
+    /// The answer of this window alone.
+    pub cause: String,
+    /// Its probability.
+    pub probability: f64,
+    /// What that was decided from.
+    pub evidence: Evidence,
+}
+
+impl Window {
+    /// A diagnosed record.
+    #[must_use]
+    pub fn of(source: &str, record: &Record, alone: &Diagnosis) -> Self {
+        Self {
+            source: source.to_owned(),
+            start_ns: record.start_ns,
+            end_ns: record.end_ns,
+            samples: record.raw_samples as u64,
+            cause: alone.cause.id.clone(),
+            probability: alone.cause.probability,
+            evidence: alone.evidence(),
+        }
+    }
+
+    fn note(&self, shown: bool) -> WindowNote {
+        WindowNote {
+            source: self.source.clone(),
+            start_ns: self.start_ns,
+            end_ns: self.end_ns,
+            start: Moment(self.start_ns),
+            end: Moment(self.end_ns),
+            samples: self.samples,
+            cause: self.cause.clone(),
+            probability: self.probability,
+            shown,
+        }
+    }
 }
 
 /// A window as documents have it.
@@ -56,38 +95,21 @@ pub struct WindowNote {
 
 /// The decision from several windows.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Pooled {
-    /// Place of the window that shows the answer best.
-    pub shown: usize,
-    /// Its diagnosis, with the answer of all windows.
-    pub diagnosis: Diagnosis,
-    /// The windows.
-    pub windows: Vec<WindowNote>,
-}
-
-/// Why windows cannot be judged together.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum PoolError {
-    /// Fewer than two windows.
-    #[error("one window only: give the files or sections of at least two")]
-    Single,
-    /// The same data twice.
-    #[error("{source_name}: the same data as {other}; leave one of them out")]
-    Twice {
-        /// The later of the two.
-        source_name: String,
-        /// The earlier.
-        other: String,
-    },
+pub struct Together {
+    decision: Decision,
+    /// The cause.
+    pub cause: Cause,
+    /// Place of the window that shows it best.
+    pub clearest: usize,
 }
 
 /// Decides from the evidence of all windows.
 ///
 /// # Errors
 /// Fewer than two windows, or the same data twice.
-pub fn decide_together(windows: &[Window<'_>]) -> Result<Pooled, PoolError> {
+pub fn decide_together(windows: &[Window]) -> Result<Together, PoolError> {
     check(windows)?;
-    let evidence = pooled(&windows.iter().map(|w| w.diagnosis.evidence()).collect::<Vec<_>>());
+    let evidence = pooled(&windows.iter().map(|w| &w.evidence).collect::<Vec<_>>());
     let decision = decide(&evidence, &[], Calibration::shipped());
     let mut cause = decision.cause.clone();
     cause.confirmed = match cause.id.as_str() {
@@ -95,35 +117,38 @@ pub fn decide_together(windows: &[Window<'_>]) -> Result<Pooled, PoolError> {
         UNKNOWN => false,
         _ => holds_out(&evidence, &cause),
     };
-    let shown = clearest(windows, &cause.id);
-    let mut diagnosis = windows[shown].diagnosis.clone();
-    if diagnosis.cause.id != cause.id {
-        diagnosis.drop_runs_of_cause();
-    }
-    diagnosis.follow(decision);
-    diagnosis.cause = cause;
-    let note = |(at, w): (usize, &Window<'_>)| WindowNote {
-        source: w.source.to_owned(),
-        start_ns: w.record.start_ns,
-        end_ns: w.record.end_ns,
-        start: Moment(w.record.start_ns),
-        end: Moment(w.record.end_ns),
-        samples: w.record.raw_samples as u64,
-        cause: w.diagnosis.cause.id.clone(),
-        probability: w.diagnosis.cause.probability,
-        shown: at == shown,
-    };
-    Ok(Pooled { shown, diagnosis, windows: windows.iter().enumerate().map(note).collect() })
+    let clearest = clearest(windows, &cause.id);
+    Ok(Together { decision, cause, clearest })
 }
 
-fn check(windows: &[Window<'_>]) -> Result<(), PoolError> {
+/// The windows as documents have them.
+#[must_use]
+pub fn notes(windows: &[Window], shown: usize) -> Vec<WindowNote> {
+    windows.iter().enumerate().map(|(at, window)| window.note(at == shown)).collect()
+}
+
+impl Diagnosis {
+    /// This window's diagnosis with the answer of several, of which it is one.
+    #[must_use]
+    pub fn with_answer_of(&self, together: &Together) -> Self {
+        let mut diagnosis = self.clone();
+        if diagnosis.cause.id != together.cause.id {
+            diagnosis.drop_runs_of_cause();
+        }
+        diagnosis.follow(together.decision.clone());
+        diagnosis.cause = together.cause.clone();
+        diagnosis
+    }
+}
+
+fn check(windows: &[Window]) -> Result<(), PoolError> {
     if windows.len() < 2 {
         return Err(PoolError::Single);
     }
     for (at, window) in windows.iter().enumerate() {
-        let is_same = |w: &&Window<'_>| w.record.pv == window.record.pv && w.record.op_path == window.record.op_path;
+        let is_same = |w: &&Window| w.samples == window.samples && w.evidence == window.evidence;
         if let Some(other) = windows[..at].iter().find(is_same) {
-            let [source_name, other] = [window.source, other.source].map(str::to_owned);
+            let [source_name, other] = [&window.source, &other.source].map(String::clone);
             return Err(PoolError::Twice { source_name, other });
         }
     }
@@ -131,18 +156,18 @@ fn check(windows: &[Window<'_>]) -> Result<(), PoolError> {
 }
 
 /// The window whose own answer is the answer of all with the highest probability, else the one in which that effect leads most.
-fn clearest(windows: &[Window<'_>], cause: &str) -> usize {
-    let rank = |w: &Window<'_>| {
-        let own = if w.diagnosis.cause.id == cause { w.diagnosis.cause.probability } else { 0.0 };
-        let tried = w.diagnosis.effects.iter().chain(&w.diagnosis.pairs).find(|e| e.id == cause);
-        (own, tried.map_or(f64::NEG_INFINITY, |e| e.lead))
+fn clearest(windows: &[Window], cause: &str) -> usize {
+    let rank = |w: &Window| {
+        let own = if w.cause == cause { w.probability } else { 0.0 };
+        let tried = w.evidence.contenders.iter().find(|c| c.id == cause);
+        (own, tried.map_or(f64::NEG_INFINITY, |c| c.lead))
     };
     let by_rank = |x: &(f64, f64), y: &(f64, f64)| x.0.total_cmp(&y.0).then(x.1.total_cmp(&y.1));
     (0..windows.len()).rev().max_by(|i, j| by_rank(&rank(&windows[*i]), &rank(&windows[*j]))).unwrap_or_default()
 }
 
 /// One evidence of all windows: gains are means, in nats a point; what one window may have by chance is a median or the majority's.
-fn pooled(all: &[Evidence]) -> Evidence {
+fn pooled(all: &[&Evidence]) -> Evidence {
     let ids: BTreeSet<&str> = all.iter().flat_map(|e| e.contenders.iter().map(|c| c.id.as_str())).collect();
     let of =
         |id: &str| -> Vec<&Contender> { all.iter().filter_map(|e| e.contenders.iter().find(|c| c.id == id)).collect() };

@@ -41,8 +41,13 @@ fn without_fit(d: &GapDocument) -> String {
     format!("{} {}", effect::noun(&d.cause.id), Claim::Shows.words(d.cause.probability))
 }
 
-/// What the comparison with other loops gave.
-fn other_loops(compared: &Compared) -> String {
+/// What the comparison with other loops gave, where there are any.
+#[must_use]
+pub fn other_loops(d: &GapDocument) -> Option<String> {
+    d.neighbours.as_ref().map(compared_loops)
+}
+
+fn compared_loops(compared: &Compared) -> String {
     let best = compared.best.as_ref().zip(compared.share).map_or_else(String::new, |(name, share)| {
         let p =
             compared.p_value.map_or_else(|| "too few periods for a p-value".to_owned(), |p| format!("p {}", number(p)));
@@ -130,13 +135,15 @@ fn outside(d: &GapDocument) -> Option<String> {
     ))
 }
 
-/// The windows that were decided together.
-fn windows(d: &GapDocument) -> String {
+/// The windows that were decided together, where there are several.
+#[must_use]
+pub fn windows(d: &GapDocument) -> Option<String> {
     let each = d.pooled.iter().map(|w| {
         let shown = if w.shown { ", shown here" } else { "" };
         format!("{}: {} (p {}{shown})", w.source, w.cause, probability(w.probability))
     });
-    format!("{} together; alone {}", d.pooled.len(), each.collect::<Vec<_>>().join(", "))
+    (!d.pooled.is_empty())
+        .then(|| format!("{} together; alone {}", d.pooled.len(), each.collect::<Vec<_>>().join(", ")))
 }
 
 /// Begins with a capital and ends with a full stop.
@@ -350,8 +357,8 @@ pub fn report(d: &GapDocument) -> String {
             number(d.gap.rmse)
         ),
     );
-    if !d.pooled.is_empty() {
-        row("windows", windows(d));
+    if let Some(windows) = windows(d) {
+        row("windows", windows);
     }
     if let Some(given) = d.given {
         row("given model", format!("gap {} PV units (rms error {})", number(given.gap), number(given.rmse)));
@@ -388,8 +395,8 @@ pub fn report(d: &GapDocument) -> String {
         row("closed loop", place::cycles(cycles));
     }
     budget::rows(d, &mut row);
-    if let Some(compared) = &d.neighbours {
-        row("other loops", other_loops(compared));
+    if let Some(compared) = other_loops(d) {
+        row("other loops", compared);
     }
     let cut = if d.stopped_early { ", cut short" } else { "" };
     row("search", format!("{} model responses{cut}", d.evaluations));

@@ -135,6 +135,22 @@ impl Stage {
     }
 }
 
+/// Why windows cannot be judged together.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PoolError {
+    /// Fewer than two windows.
+    #[error("one window only: give the files or sections of at least two")]
+    Single,
+    /// The same data twice.
+    #[error("{source_name}: the same data as {other}; leave one of them out")]
+    Twice {
+        /// The later of the two.
+        source_name: String,
+        /// The earlier.
+        other: String,
+    },
+}
+
 /// Why no diagnosis was possible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GapError {
@@ -180,6 +196,9 @@ pub enum GapError {
     /// A neighbour that cannot be offered.
     #[error(transparent)]
     Neighbour(#[from] NeighbourError),
+    /// Windows that cannot be judged together.
+    #[error(transparent)]
+    Pool(#[from] PoolError),
     /// No base model fits.
     #[error(
         "no base model fits the {points} points ({evaluations} evaluations): PV does not follow OP; choose another section or check the tags"
