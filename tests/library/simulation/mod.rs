@@ -15,6 +15,7 @@ mod plant;
 mod pooled;
 mod receiver;
 mod refill;
+mod repairs;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
