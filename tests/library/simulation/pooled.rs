@@ -11,7 +11,7 @@ use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_lab::challenge::windows::in_windows;
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::GapRequest;
+use stiction_monitor::engine::{GapRequest, PublishedGap};
 use stiction_runtime::clock::Clock;
 
 use super::neighbours::play;
@@ -22,11 +22,23 @@ const DAY: Duration = Duration::from_secs(86_400);
 
 /// Asks for a diagnosis and makes it: the document, or why there is none.
 fn ask(stage: &mut SimDaemon, pool: bool) -> Result<Value, String> {
+    ask_and_change(stage, pool, |_| ())
+}
+
+fn ask_and_change(
+    stage: &mut SimDaemon,
+    pool: bool,
+    mut change: impl FnMut(&mut PublishedGap),
+) -> Result<Value, String> {
     let answered = Arc::new(Mutex::new(None));
     let told = answered.clone();
     assert!(stage.ask_gap(NAME, "ann", pool, Box::new(move |answer| *told.lock().unwrap() = Some(answer))));
     stage.turn();
-    stage.diagnose(|request: &GapRequest| Outcome::Done(Box::new(request.compute(&Serial).unwrap()), None));
+    stage.diagnose(|request: &GapRequest| {
+        let mut made = request.compute(&Serial).unwrap();
+        change(&mut made);
+        Outcome::Done(Box::new(made), None)
+    });
     let answer = answered.lock().unwrap().take().unwrap();
     answer.map(|json| serde_json::from_slice(&json).unwrap())
 }
@@ -53,6 +65,10 @@ fn a_diagnosis_is_decided_with_earlier_ones_where_a_person_wants_it_and_replays_
 
     next_day(&mut stage);
     assert!(ask(&mut stage, true).unwrap_err().contains("ask without pool"));
+    // A number that no recording can give back: that window is not remembered.
+    ask_and_change(&mut stage, false, |made| made.own.evidence.basis.noise.over_base = f64::INFINITY).unwrap();
+    next_day(&mut stage);
+    assert!(ask(&mut stage, true).unwrap_err().contains("ask without pool"));
     let first = ask(&mut stage, false).unwrap();
     assert!(first["pooled"].is_null(), "{first}");
     // The same samples do not count twice.
@@ -74,5 +90,5 @@ fn a_diagnosis_is_decided_with_earlier_ones_where_a_person_wants_it_and_replays_
     assert_eq!((third_windows.len(), &third_windows[1].1), (3, &second_windows[1].1));
     stage.finish();
     drop(stage);
-    assert!(replays_to_the_byte(dir.path()) >= 3);
+    assert!(replays_to_the_byte(dir.path()) >= 4);
 }

@@ -332,6 +332,12 @@ impl PublishedGap {
     }
 }
 
+/// Whether a recording can give a window back: JSON holds no number that is not finite.
+pub(super) fn is_recordable(window: &pool::Window) -> bool {
+    let json = serde_json::to_vec(window);
+    json.is_ok_and(|json| serde_json::from_slice::<pool::Window>(&json).is_ok_and(|read| read == *window))
+}
+
 /// Why a person's wish for a diagnosis is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GapRefusal {

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::due::{Computed, Request, Snapshot, Waiting, WindowAnswer};
-use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, POOLED, POOLED_NS, PublishedGap};
+use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, POOLED, POOLED_NS, PublishedGap, is_recordable};
 use super::plant::{GroupStanding, LoopWindow};
 use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, SkipReason, StateDocument, StreamState};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
@@ -248,6 +248,9 @@ impl Loop {
     }
 
     fn remember_diagnosis(&mut self, window: pool::Window) {
+        if !is_recordable(&window) {
+            return;
+        }
         self.diagnosed.retain(|earlier| earlier.end_ns <= window.start_ns);
         if self.diagnosed.len() == POOLED {
             self.diagnosed.pop_front();
