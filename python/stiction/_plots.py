@@ -102,7 +102,7 @@ def _free_run(found: Assessment, record: Record) -> tuple[NDArray[np.datetime64]
     look = {**record.look, "samples": None, "window": window}
     asked = {
         "base": found.to_json(), "neighbours": [], "without": [], "pairs": False,
-        "budget_s": 1e-3, "seed": 1, "threads": 1,
+        "budget_s": 1e-3, "seed": 1, "threads": 1, "windows": [],
     }  # fmt: skip
     try:
         *_, columns = _stiction.diagnose(record.name, record.columns, look, asked, None)
