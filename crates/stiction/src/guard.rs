@@ -22,7 +22,7 @@ pub enum Excess {
 /// What keeps a test from being proposed that moves PV by `travel_pv` and takes `total_s`, on a loop whose PV went over
 /// `pv_span` in the record; PV in one unit.
 #[must_use]
-pub fn excess(travel_pv: f64, pv_span: f64, total_s: f64) -> Option<Excess> {
+pub(crate) fn excess(travel_pv: f64, pv_span: f64, total_s: f64) -> Option<Excess> {
     if travel_pv > PV_SPANS * pv_span {
         return Some(Excess::Travel(travel_pv, pv_span));
     }

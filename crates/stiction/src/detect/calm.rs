@@ -25,7 +25,7 @@ const JUMPS: [[f64; 2]; 2] = [[0.35, 1.0], [0.0, 0.35]];
 /// Tests a record whose OP has a typical period of `period` points, if any; `None` if the record is too short or a signal
 /// is constant.
 #[must_use]
-pub fn signs(record: &Record, period: Option<f64>) -> Option<Signs> {
+pub(crate) fn signs(record: &Record, period: Option<f64>) -> Option<Signs> {
     let period = usable(period, record.len());
     let boxes = Boxes::of(&record.op_path, record.path_per_point(), record.len(), period, GRAIN)?;
     let pv = detrend::box_means(&record.pv[..boxes.op.len() * boxes.points], boxes.points);

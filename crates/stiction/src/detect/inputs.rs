@@ -109,7 +109,7 @@ struct Range {
 
 impl Boxes {
     /// Bins of an OP path with `per_point` values per point, for PV of `points` points; `period` is OP's typical one, points.
-    pub fn of(op_path: &[f64], per_point: usize, points: usize, period: f64, grain: Grain) -> Option<Self> {
+    pub(crate) fn of(op_path: &[f64], per_point: usize, points: usize, period: f64, grain: Grain) -> Option<Self> {
         let k = ((period / grain.per_period).round() as usize).min(points / grain.enough).max(1);
         let count = (points / k).min(grain.most);
         let width = k * per_point;
@@ -139,14 +139,14 @@ impl Boxes {
     }
 
     /// OP itself, limited at none, one or both of its ends.
-    pub fn cut(&self) -> Vec<Input> {
+    pub(crate) fn cut(&self) -> Vec<Input> {
         let sorted = stats::sorted(self.path.values());
         let ends = ENDS.map(|e| [stats::quantile_sorted(&sorted, e), stats::quantile_sorted(&sorted, 1.0 - e)]);
         ends.iter().flat_map(|low| ends.iter().map(|high| self.clipped(low[0], high[1]))).collect()
     }
 
     /// Every stem that moves often enough.
-    pub fn stems(&self) -> Vec<StemInput> {
+    pub(crate) fn stems(&self) -> Vec<StemInput> {
         let mut steps = Steps::default();
         let mut out = Vec::with_capacity(2 * BANDS.len() * JUMPS.len() * STARTS.len());
         for share in BANDS {
@@ -170,7 +170,7 @@ impl Boxes {
 
     /// OP as recorded, and stems that start at OP's first value: `shares` of OP's span for s, and j over s for He's and for the
     /// tracking model.
-    pub fn few(&self, shares: &[f64], [he, tracking]: [[f64; 2]; 2]) -> (Input, Vec<Input>) {
+    pub(crate) fn few(&self, shares: &[f64], [he, tracking]: [[f64; 2]; 2]) -> (Input, Vec<Input>) {
         let (mut steps, first) = (Steps::default(), self.first());
         let mut stems = Vec::with_capacity(4 * shares.len());
         for s in shares.iter().map(|share| share * self.span) {

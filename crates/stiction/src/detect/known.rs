@@ -41,7 +41,7 @@ pub(super) struct Known {
 
 impl Known {
     /// A constant and PV's own past: `order` terms for the values starting at `from`.
-    pub fn past(pv: Vec<f64>, from: usize, order: usize) -> Self {
+    pub(crate) fn past(pv: Vec<f64>, from: usize, order: usize) -> Self {
         let left = pv[from..].to_vec();
         let (columns, sources, mix, lines) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let mut known = Self { columns, sources, mix, left, pv, from, order, lines };
@@ -55,7 +55,7 @@ impl Known {
     }
 
     /// The same with a line of frequency `f` and its harmonics.
-    pub fn with_lines(mut self, f: f64) -> Self {
+    pub(crate) fn with_lines(mut self, f: f64) -> Self {
         for (index, line) in harmonics(f).into_iter().enumerate() {
             self.lines.push(line);
             let (cosine, sine) = wave(line, self.pv.len());
@@ -88,17 +88,17 @@ impl Known {
     }
 
     /// Number of columns.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.columns.len()
     }
 
     /// Squared prediction error.
-    pub fn error(&self) -> f64 {
+    pub(crate) fn error(&self) -> f64 {
         stats::dot(&self.left, &self.left)
     }
 
     /// Converts products with the original columns to products with the orthonormal ones, `width` sets side by side.
-    pub fn orthonormal(&self, products: &mut [f64], width: usize) {
+    pub(crate) fn orthonormal(&self, products: &mut [f64], width: usize) {
         for (index, mix) in self.mix.iter().enumerate() {
             let (done, rest) = products.split_at_mut(index * width);
             let own = &mut rest[..width];
@@ -113,7 +113,7 @@ impl Known {
     }
 
     /// Products of a complex line with the constant and PV's past, in column order; `first` is that with PV one bin earlier.
-    pub fn past_with_line(&self, constant: [f64; 2], first: [f64; 2], ends: Ends, out: &mut Vec<[f64; 2]>) {
+    pub(crate) fn past_with_line(&self, constant: [f64; 2], first: [f64; 2], ends: Ends, out: &mut Vec<[f64; 2]>) {
         out.clear();
         let n = self.pv.len();
         let (mut at, mut product) = (1, first);
@@ -146,13 +146,13 @@ pub(super) struct Ends {
 
 impl Ends {
     /// For a line of frequency `f` over the bins `from..n`.
-    pub fn of(f: f64, from: usize, n: usize) -> Self {
+    pub(crate) fn of(f: f64, from: usize, n: usize) -> Self {
         let at = |k: f64| [libm::cos(2.0 * PI * f * k), libm::sin(2.0 * PI * f * k)];
         Self { turn: at(1.0), before: at(from as f64 - 1.0), last: at(n as f64 - 1.0) }
     }
 
     /// The product at the next lag, with `enters` added in front and `leaves` removed at the end.
-    pub fn turned(&self, p: [f64; 2], enters: f64, leaves: f64) -> [f64; 2] {
+    pub(crate) fn turned(&self, p: [f64; 2], enters: f64, leaves: f64) -> [f64; 2] {
         let part = |i: usize| p[i] + enters * self.before[i] - leaves * self.last[i];
         let [re, im] = [part(0), part(1)];
         [re * self.turn[0] - im * self.turn[1], re * self.turn[1] + im * self.turn[0]]
@@ -193,7 +193,7 @@ pub(super) struct Work {
 
 impl Sums {
     /// `follow` is OP in bins, as followed by inputs.
-    pub fn new(known: Known, follow: &[f64], lags: usize) -> Self {
+    pub(crate) fn new(known: Known, follow: &[f64], lags: usize) -> Self {
         let (n, from, order) = (known.pv.len(), known.from, known.order);
         let differences = lags + order - 1;
         let width = differences + 1 + 2 * known.lines.len() + lags;
@@ -231,18 +231,18 @@ impl Sums {
     }
 
     /// Squared error without an input.
-    pub fn without(&self) -> f64 {
+    pub(crate) fn without(&self) -> f64 {
         self.error
     }
 
     /// Number of predicted bins.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.known.left.len()
     }
 
     /// Squared prediction error with an input: the best delay, with free weights on its last two bins, whose sum has the
     /// required sign.
-    pub fn error(&self, input: &Input, sign: Option<f64>, work: &mut Work) -> f64 {
+    pub(crate) fn error(&self, input: &Input, sign: Option<f64>, work: &mut Work) -> f64 {
         self.products(input, work);
         let (lags, count) = (self.lags, self.known.count());
         self.known.orthonormal(&mut work.shares[..count * lags], lags);

@@ -1,6 +1,6 @@
 //! Detection: whether the loop oscillates, and indicators of a sticking valve.
 
-pub mod calm;
+pub(crate) mod calm;
 mod cross_correlation;
 mod inputs;
 mod jumps;
@@ -8,7 +8,7 @@ mod known;
 mod lines;
 mod one_step;
 pub mod oscillation;
-pub mod ringing;
+pub(crate) mod ringing;
 mod sine;
 mod travel;
 
@@ -94,7 +94,7 @@ const MAX_POINTS: usize = 2048;
 impl OpSide {
     /// Prepares a record's OP with a typical period of `period` points, if any.
     #[must_use]
-    pub fn new(record: &Record, period: Option<f64>) -> Self {
+    pub(crate) fn new(record: &Record, period: Option<f64>) -> Self {
         let op = record.op();
         let period = usable(period, record.len());
         let box_points = ((period / POINTS_PER_PERIOD) as usize).max(1);
@@ -117,14 +117,14 @@ impl View {
 
     /// As [`View::of`], with OP's typical period in points.
     #[must_use]
-    pub fn with_period(record: &Record, period: Option<f64>) -> Self {
+    pub(crate) fn with_period(record: &Record, period: Option<f64>) -> Self {
         Self::beside(&Arc::new(OpSide::new(record, period)), &record.pv, None)
     }
 
     /// Prepares a PV with one value for each point of the record of `output`. `near` is a band, spans of OP, near which stems are
     /// tested.
     #[must_use]
-    pub fn beside(output: &Arc<OpSide>, pv: &[f64], near: Option<f64>) -> Self {
+    pub(crate) fn beside(output: &Arc<OpSide>, pv: &[f64], near: Option<f64>) -> Self {
         let predictions =
             [0, 1].map(|grain| one_step::Prediction::of(output.inputs[grain].as_ref()?, pv, output.sp.as_deref()));
         let pv = boxed(pv, output.box_points);

@@ -65,7 +65,7 @@ pub(super) struct Inputs {
 
 impl Inputs {
     /// See [`Boxes::of`].
-    pub fn of(op_path: &[f64], per_point: usize, points: usize, period: f64, grain: Grain) -> Option<Self> {
+    pub(crate) fn of(op_path: &[f64], per_point: usize, points: usize, period: f64, grain: Grain) -> Option<Self> {
         let boxes = Boxes::of(op_path, per_point, points, period, grain)?;
         let line = if grain.periodic { lines::around(&boxes.op) } else { 0.0 };
         Some(Self { periodic: grain.periodic, line, cut: boxes.cut(), stems: boxes.stems(), boxes })
@@ -83,7 +83,7 @@ pub(super) struct Prediction {
 
 impl Prediction {
     /// `None` if PV is constant; `sp` is the set point at PV's points, if known.
-    pub fn of(inputs: &Inputs, pv: &[f64], sp: Option<&[f64]>) -> Option<Self> {
+    pub(crate) fn of(inputs: &Inputs, pv: &[f64], sp: Option<&[f64]>) -> Option<Self> {
         let boxes = &inputs.boxes;
         let boxed = |x: &[f64]| detrend::box_means(&x[..boxes.op.len() * boxes.points], boxes.points);
         let pv = boxed(pv);

@@ -43,14 +43,14 @@ pub struct Looks {
     pub op: Option<Oscillates>,
     /// The process variable alone.
     pub pv: Option<Oscillates>,
-    /// See [`typical_period`], of the controller output.
+    /// See `typical_period`, of the controller output.
     pub typical_period: Option<f64>,
 }
 
 impl Looks {
     /// Analyses controller output and process variable, each `n` points long.
     #[must_use]
-    pub fn of(op: &[f64], pv: &[f64]) -> Self {
+    pub(crate) fn of(op: &[f64], pv: &[f64]) -> Self {
         let output = Signal::of(op);
         Self {
             op: output.as_ref().and_then(Signal::oscillates),
@@ -62,7 +62,7 @@ impl Looks {
     /// The loop's oscillation: OP has priority (the controller's integral action smooths it); PV is used if only PV has a regular
     /// oscillation. `None` if neither has four half periods between zero crossings.
     #[must_use]
-    pub fn together(&self) -> Option<Oscillates> {
+    pub(crate) fn together(&self) -> Option<Oscillates> {
         match (self.op, self.pv) {
             (Some(a), Some(b)) => Some(if b.oscillating && !a.oscillating { b } else { a }),
             (a, b) => a.or(b),
@@ -70,7 +70,7 @@ impl Looks {
     }
 }
 
-/// Finds an oscillation in controller output and process variable, each `n` points long; see [`Looks::together`].
+/// Finds an oscillation in controller output and process variable, each `n` points long; see `Looks::together`.
 #[must_use]
 pub fn detect(op: &[f64], pv: &[f64]) -> Option<Oscillates> {
     Looks { op: detect_one(op), pv: detect_one(pv), typical_period: None }.together()
@@ -78,7 +78,7 @@ pub fn detect(op: &[f64], pv: &[f64]) -> Option<Oscillates> {
 
 /// Finds an oscillation in one signal, both as recorded and without components slower than a third of it.
 #[must_use]
-pub fn detect_one(x: &[f64]) -> Option<Oscillates> {
+pub(crate) fn detect_one(x: &[f64]) -> Option<Oscillates> {
     Signal::of(x)?.oscillates()
 }
 
@@ -86,7 +86,7 @@ pub fn detect_one(x: &[f64]) -> Option<Oscillates> {
 /// zero crossings of the autocorrelation, after removing a line and components slower than a third of the record. Between 2
 /// and half the record; `None` for a constant.
 #[must_use]
-pub fn typical_period(x: &[f64]) -> Option<f64> {
+pub(crate) fn typical_period(x: &[f64]) -> Option<f64> {
     Signal::of(x)?.typical_period()
 }
 

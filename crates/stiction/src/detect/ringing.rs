@@ -68,7 +68,7 @@ const SECOND: [f64; 2] = [0.4, 0.03];
 
 /// Analyses a signal that oscillates with about `period` points; `None` below four periods or for a constant.
 #[must_use]
-pub fn of(x: &[f64], period: f64) -> Option<Ringing> {
+pub(crate) fn of(x: &[f64], period: f64) -> Option<Ringing> {
     let k = ((period / POINTS_PER_PERIOD) as usize).max(1);
     let boxed = detrend::remove_line(&detrend::box_means(x, k));
     let (n, period) = (boxed.len() as f64, period / k as f64);

@@ -4,7 +4,7 @@ use super::plan::Plan;
 use crate::sim::process::{Pole, run_one, series_weights};
 
 /// Points by which an integrator's answer is scaled down, so that it is of the size of its input.
-pub const INTEGRATOR_SCALE: f64 = 50.0;
+pub(crate) const INTEGRATOR_SCALE: f64 = 50.0;
 
 /// Least share of its usual rate at which a process settles whose rate goes with its input.
 const LEAST_RATE: f64 = 0.1;
@@ -24,7 +24,7 @@ pub struct Process<'p> {
 
 impl Process<'_> {
     /// Its answer to `v` from rest at its first value.
-    pub fn respond(&self, v: &[f64], out: &mut Vec<f64>, work: &mut Vec<f64>) {
+    pub(crate) fn respond(&self, v: &[f64], out: &mut Vec<f64>, work: &mut Vec<f64>) {
         self.at_lag(v, self.whole, self.fraction, out, work);
     }
 

@@ -3,9 +3,9 @@
 use crate::sim::slips::FirstSlip;
 
 /// Most parameters that a structure's effects have together.
-pub const MAX_PARAMS: usize = 6;
+pub(crate) const MAX_PARAMS: usize = 6;
 /// Columns of a model, right-hand side included, at most.
-pub const MAX_COLUMNS: usize = 11;
+pub(crate) const MAX_COLUMNS: usize = 11;
 
 /// A place in the search.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,7 +55,7 @@ pub struct Candidate {
 impl Candidate {
     /// Whether another place with the same parameters has the same slips.
     #[must_use]
-    pub fn covers(&self, theta: &Parameters) -> bool {
+    pub(crate) fn covers(&self, theta: &Parameters) -> bool {
         let within = |[low, high]: [f64; 2], x: f64| low <= x && x < high;
         theta.first == self.theta.first
             && theta.p == self.theta.p

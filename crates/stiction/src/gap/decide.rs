@@ -286,7 +286,7 @@ fn alternatives(
 
 /// Whether held-out blocks, and where it can say so the run forward in time, bear a call out.
 #[must_use]
-pub fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
+pub(crate) fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
     let closes = closes(effect.closed_pct) || effect.gap_after < 0.9 * effect.gap_before;
     let local = effects::parts(&effect.id).any(|id| effects::by_id(id).is_some_and(|e| e.local));
     closes && (local || forward.is_none_or(|[before, after]| after < before))
@@ -327,7 +327,7 @@ fn is_pair(id: &str) -> bool {
 
 /// Whether free run can predict an effect.
 #[must_use]
-pub fn predictable(id: &str) -> bool {
+pub(crate) fn predictable(id: &str) -> bool {
     effects::parts(id).all(|part| effects::by_id(part).is_none_or(|e| e.predictable && e.way != Way::Noise))
 }
 

@@ -23,7 +23,7 @@ const LOAD_SETS: usize = 6;
 
 /// Evaluates parameter vectors of one problem, with its own buffers.
 #[derive(Debug)]
-pub struct Evaluator<'a> {
+pub(crate) struct Evaluator<'a> {
     /// The record.
     pub problem: &'a Problem,
     /// Sign of the gain.
@@ -50,7 +50,7 @@ struct LoadSet {
 
 /// A valve signal that has been made, for evaluations with different processes behind it.
 #[derive(Debug, Clone, Copy)]
-pub struct Prepared {
+pub(crate) struct Prepared {
     plan: Plan,
     theta: Parameters,
     freedom: Freedom,
@@ -70,19 +70,19 @@ pub struct Place {
 impl Prepared {
     /// Whether two time constants are fitted.
     #[must_use]
-    pub fn has_two_lags(&self) -> bool {
+    pub(crate) fn has_two_lags(&self) -> bool {
         self.plan.tau2 > 0.0 && !self.plan.integrating
     }
 
     /// Whether a time constant is fitted at all.
     #[must_use]
-    pub const fn has_lag(&self) -> bool {
+    pub(crate) const fn has_lag(&self) -> bool {
         !self.plan.integrating
     }
 
     /// Whether only the plain pass can tell the error.
     #[must_use]
-    pub fn is_plain(&self) -> bool {
+    pub(crate) fn is_plain(&self) -> bool {
         self.plan.level != 0.0 && !self.plan.integrating
     }
 }
@@ -90,7 +90,7 @@ impl Prepared {
 impl<'a> Evaluator<'a> {
     /// An evaluator for one problem and sign of the gain.
     #[must_use]
-    pub fn new(problem: &'a Problem, sign: f64) -> Self {
+    pub(crate) fn new(problem: &'a Problem, sign: f64) -> Self {
         Self {
             problem,
             sign,
@@ -104,7 +104,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// Makes the valve signal of a parameter vector; `None` where the stem hardly moves or the budget is spent.
-    pub fn prepare(&mut self, structure: &Structure, theta: &Parameters) -> Option<Prepared> {
+    pub(crate) fn prepare(&mut self, structure: &Structure, theta: &Parameters) -> Option<Prepared> {
         if self.evaluations >= self.limit {
             return None;
         }
@@ -118,7 +118,7 @@ impl<'a> Evaluator<'a> {
 
     /// Where a parameter vector stands on the lattice.
     #[must_use]
-    pub fn place_of(&self, prepared: &Prepared) -> Place {
+    pub(crate) fn place_of(&self, prepared: &Prepared) -> Place {
         let limits = self.problem.normalised.limits;
         let within = |tau: f64| lattice_index(tau.clamp(limits.tau[0], limits.tau[1]));
         let first = within(libm::exp(prepared.theta.log_tau));
@@ -136,7 +136,13 @@ impl<'a> Evaluator<'a> {
 
     /// The best of all dead times within a whole point at one place of the lattice; `None` where no gain of the sign helps.
     /// The signal must be the one prepared last.
-    pub fn at(&mut self, structure: &Structure, prepared: &Prepared, place: Place, view: View) -> Option<Candidate> {
+    pub(crate) fn at(
+        &mut self,
+        structure: &Structure,
+        prepared: &Prepared,
+        place: Place,
+        view: View,
+    ) -> Option<Candidate> {
         let mut theta = prepared.theta;
         let tau = place.tau.map(lattice_tau);
         if prepared.has_lag() {
@@ -171,7 +177,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// The same at any time constants, `theta`'s own; for the last refinement.
-    pub fn off_lattice(
+    pub(crate) fn off_lattice(
         &mut self,
         structure: &Structure,
         theta: &Parameters,
@@ -205,7 +211,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// As it is, by the plain pass: with the coefficients of everything linear.
-    pub fn plain_pass(&mut self, structure: &Structure, theta: &Parameters, view: View) -> Option<Candidate> {
+    pub(crate) fn plain_pass(&mut self, structure: &Structure, theta: &Parameters, view: View) -> Option<Candidate> {
         self.evaluations += 1;
         self.plain.evaluate(structure, theta, view)
     }

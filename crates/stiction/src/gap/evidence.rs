@@ -75,7 +75,7 @@ pub struct Left {
 impl Left {
     /// Of a fit.
     #[must_use]
-    pub fn of(fit: &Fit, floor: Option<f64>) -> Self {
+    pub(crate) fn of(fit: &Fit, floor: Option<f64>) -> Self {
         Self {
             over_floor: floor.map(|f| fit.rmse_train / f),
             held_over_floor: floor.map(|f| fit.rmse / f),
@@ -129,7 +129,7 @@ pub struct Evidence {
 impl Evidence {
     /// What a catalogue that lacks some effects would see: errors over the floor that is taken where nothing is known of them.
     #[must_use]
-    pub fn of_those_who_lack(&self, without: &[&str]) -> Self {
+    pub(crate) fn of_those_who_lack(&self, without: &[&str]) -> Self {
         let mut seen = self.clone();
         let owed = self.basis.floor_owes.iter().filter(|(id, _)| without.contains(&id.as_str()));
         let by = owed.map(|(_, by)| *by).fold(1.0, f64::max);
@@ -159,7 +159,11 @@ impl Evidence {
 
     /// Of the weighed effects, those that are simulated; `floor` in PV units.
     #[must_use]
-    pub fn new<'e>(basis: &Basis, effects: impl IntoIterator<Item = &'e EffectResult>, floor: Option<f64>) -> Self {
+    pub(crate) fn new<'e>(
+        basis: &Basis,
+        effects: impl IntoIterator<Item = &'e EffectResult>,
+        floor: Option<f64>,
+    ) -> Self {
         let contender = |e: &EffectResult| {
             let fit = e.fit.as_ref().filter(|_| e.simulated)?;
             Some(Contender {

@@ -14,13 +14,13 @@ use crate::sim::process::separated;
 use crate::sim::slips::Law;
 
 /// Training error over the floor up to which a fit counts as having reached it.
-pub const AT_FLOOR: f64 = 1.05;
+pub(crate) const AT_FLOOR: f64 = 1.05;
 /// Steps from the fitted fd to that of the slips.
 const STEPS: i32 = 8;
 
 /// Root of the mean of `residual` squared over stretches.
 #[must_use]
-pub fn rms(residual: &[f64], stretches: &[[usize; 2]]) -> f64 {
+pub(crate) fn rms(residual: &[f64], stretches: &[[usize; 2]]) -> f64 {
     let n = stretches.iter().map(|[a, b]| b - a).sum::<usize>().max(1);
     let sum: f64 = stretches.iter().flat_map(|[a, b]| &residual[*a..*b]).map(|r| r * r).sum();
     (sum / n as f64).sqrt()
@@ -28,7 +28,7 @@ pub fn rms(residual: &[f64], stretches: &[[usize; 2]]) -> f64 {
 
 /// What is left above a floor: `sqrt(rmse^2 - floor^2)`, at least 0.
 #[must_use]
-pub fn above_floor(rmse: f64, floor: Option<f64>) -> f64 {
+pub(crate) fn above_floor(rmse: f64, floor: Option<f64>) -> f64 {
     let floor = floor.unwrap_or(0.0);
     (rmse * rmse - floor * floor).max(0.0).sqrt()
 }
@@ -68,7 +68,7 @@ fn tied_bands(problem: &Problem, structure: &Structure, of: &Candidate) -> [f64;
 
 /// The model of a place.
 #[must_use]
-pub fn model(problem: &Problem, structure: &Structure, of: &Candidate) -> Model {
+pub(crate) fn model(problem: &Problem, structure: &Structure, of: &Candidate) -> Model {
     let plan = structure.plan(&of.theta);
     let per_op = problem.deviation / problem.span;
     let total = if plan.zero { of.linear.gain + of.linear.others[of.linear.count - 1] } else { of.linear.gain };
@@ -142,13 +142,13 @@ fn parameters_of(problem: &Problem, structure: &Structure, of: &Candidate, id: &
 
 /// The parameters of all of a structure's effects.
 #[must_use]
-pub fn parameters(problem: &Problem, structure: &Structure, of: &Candidate) -> Vec<Parameter> {
+pub(crate) fn parameters(problem: &Problem, structure: &Structure, of: &Candidate) -> Vec<Parameter> {
     structure.each().flat_map(|e| parameters_of(problem, structure, of, e.id)).collect()
 }
 
 /// The fit of a search's best place; `after` is applied to the prediction (what a recorder does to PV).
 #[must_use]
-pub fn fit(problem: &Problem, search: &Search, floor: Option<f64>, after: &dyn Fn(&mut [f64])) -> Option<Fit> {
+pub(crate) fn fit(problem: &Problem, search: &Search, floor: Option<f64>, after: &dyn Fn(&mut [f64])) -> Option<Fit> {
     let best = search.best.first()?;
     let mut pass = PlainPass::new(problem, search.sign);
     let (mut prediction, valve) = pass.simulate(&search.structure, best)?;
@@ -200,7 +200,7 @@ pub struct Errors {
 impl Errors {
     /// Of a residual over the whole record, PV units.
     #[must_use]
-    pub fn of(problem: &Problem, residual: &[f64]) -> Self {
+    pub(crate) fn of(problem: &Problem, residual: &[f64]) -> Self {
         let train = rms(residual, &problem.train);
         let one_step = noise::autoregression(residual, &problem.train).map_or(train * train, |a| a.mse);
         let from = problem.blocks.from;
@@ -214,14 +214,14 @@ impl Errors {
 
     /// Whether the training error has reached the floor.
     #[must_use]
-    pub fn at_floor(&self, floor: Option<f64>) -> bool {
+    pub(crate) fn at_floor(&self, floor: Option<f64>) -> bool {
         floor.is_some_and(|f| self.train <= AT_FLOOR * f)
     }
 }
 
 /// Moves of a stem, OP units, larger than `least`.
 #[must_use]
-pub fn slips(valve: &[f64], least: f64) -> Vec<Slip> {
+pub(crate) fn slips(valve: &[f64], least: f64) -> Vec<Slip> {
     valve
         .windows(2)
         .enumerate()

@@ -35,7 +35,7 @@ const OVERDONE: f64 = -0.2;
 
 /// A filter that was found.
 #[derive(Debug)]
-pub struct Filtered {
+pub(crate) struct Filtered {
     /// Base and filter, as PV sees them.
     pub fit: Fit,
     /// Time constant of the filter, s.
@@ -47,14 +47,14 @@ pub struct Filtered {
 impl Filtered {
     /// Its size.
     #[must_use]
-    pub fn parameters(&self) -> Vec<Parameter> {
+    pub(crate) fn parameters(&self) -> Vec<Parameter> {
         vec![Parameter { name: "lag", value: self.lag_s, unit: "s" }]
     }
 }
 
 /// Looks for a filter; `None` where what is left has no such memory, where a recorder made PV, or where lag and colour do
 /// not agree.
-pub fn look(
+pub(crate) fn look(
     record: &Record,
     problem: &Problem,
     found: &Found,

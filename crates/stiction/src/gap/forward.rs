@@ -21,7 +21,7 @@ pub struct FirstPart {
 }
 
 /// The best of each search, fitted to the first part; `None` where the rest is too short or a model finds no place.
-pub fn fitted_to_first_part(
+pub(crate) fn fitted_to_first_part(
     problem: &Problem,
     searches: &[&Search],
     floor: Option<f64>,

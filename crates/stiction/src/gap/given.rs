@@ -28,7 +28,7 @@ pub fn check(model: &Model) -> Result<(), ModelError> {
 ///
 /// # Errors
 /// A number or word of the model is out of range, or nothing moves its stem.
-pub fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> Result<Fit, ModelError> {
+pub(crate) fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> Result<Fit, ModelError> {
     model.check()?;
     let structure = structure(model)?;
     let theta = theta(problem, model, &structure);
@@ -79,7 +79,7 @@ pub fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> Result<
 ///
 /// # Errors
 /// Where a number or word of the model is out of range.
-pub fn base_places(problem: &Problem, model: &Model) -> Result<Vec<Parameters>, ModelError> {
+pub(crate) fn base_places(problem: &Problem, model: &Model) -> Result<Vec<Parameters>, ModelError> {
     let structure = structure(model)?;
     if structure.law != Some(Law::He) || structure.each().next().is_some() {
         return Ok(Vec::new());

@@ -55,7 +55,7 @@ pub struct Stated<'m> {
 impl Stated<'_> {
     /// The effect's id.
     #[must_use]
-    pub fn id(&self) -> &str {
+    pub(crate) fn id(&self) -> &str {
         &self.added.id
     }
 
@@ -65,7 +65,7 @@ impl Stated<'_> {
 
     /// What to say of a number that is missing or out of range.
     #[must_use]
-    pub fn wrong(&self, parameter: &'static str, want: &'static str) -> NoPlace {
+    pub(crate) fn wrong(&self, parameter: &'static str, want: &'static str) -> NoPlace {
         NoPlace::Number { effect: self.added.id.clone(), parameter, want }
     }
 
@@ -73,7 +73,7 @@ impl Stated<'_> {
     ///
     /// # Errors
     /// Where it is missing.
-    pub fn number(&self, name: &'static str) -> Result<f64, NoPlace> {
+    pub(crate) fn number(&self, name: &'static str) -> Result<f64, NoPlace> {
         self.stated(name).ok_or_else(|| self.wrong(name, ""))
     }
 
@@ -81,19 +81,19 @@ impl Stated<'_> {
     ///
     /// # Errors
     /// Where it is missing or not above 0.
-    pub fn above_zero(&self, name: &'static str) -> Result<f64, NoPlace> {
+    pub(crate) fn above_zero(&self, name: &'static str) -> Result<f64, NoPlace> {
         self.stated(name).filter(|x| *x > 0.0).ok_or_else(|| self.wrong(name, " above 0"))
     }
 
     /// A number that may be left out: mass and drag are, where there is none.
     #[must_use]
-    pub fn or_zero(&self, name: &str) -> f64 {
+    pub(crate) fn or_zero(&self, name: &str) -> f64 {
         self.stated(name).unwrap_or(0.0)
     }
 
     /// Whether it is said to be so: what is not said to be so is not so.
     #[must_use]
-    pub fn is(&self, name: &str) -> bool {
+    pub(crate) fn is(&self, name: &str) -> bool {
         self.or_zero(name) > 0.5
     }
 }

@@ -179,14 +179,14 @@ fn run(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Opti
 
 /// Whether the record's set point moves enough to show the process.
 #[must_use]
-pub fn sp_moves(record: &Record) -> bool {
+pub(crate) fn sp_moves(record: &Record) -> bool {
     record.sp.as_ref().is_some_and(|sp| stats::std_dev(sp) > LEAST_SP_MOVES * stats::std_dev(&record.pv))
 }
 
 /// How much of PV the closed loop predicts from SP alone after the part that its models were fitted to, its controller read
 /// from that part, too.
 #[must_use]
-pub fn from_sp(record: &Record, first: &FirstPart) -> Option<FromSp> {
+pub(crate) fn from_sp(record: &Record, first: &FirstPart) -> Option<FromSp> {
     let rest = record.part(first.rest, record.len());
     let reading = controller::read(&record.part(0, first.rest)).filter(|_| sp_moves(&rest))?;
     let swing = oscillation::detect(&rest.op(), &rest.pv).filter(|o| o.oscillating).map(|o| o.period_points);

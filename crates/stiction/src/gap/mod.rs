@@ -44,8 +44,8 @@ mod stages;
 mod structure;
 pub mod text;
 mod traces;
-pub mod types;
-pub mod typical;
+pub(crate) mod types;
+pub(crate) mod typical;
 mod valve_signal;
 mod weigh;
 

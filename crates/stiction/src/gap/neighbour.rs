@@ -207,7 +207,7 @@ impl Load {
 
     /// The signal behind a first-order lag and a delay, points, over `n` points; beyond its end the last value holds.
     #[must_use]
-    pub fn behind(&self, lag: f64, delay: f64, n: usize) -> Vec<f64> {
+    pub(crate) fn behind(&self, lag: f64, delay: f64, n: usize) -> Vec<f64> {
         let mut out = Vec::new();
         let first = self.values.first().copied().unwrap_or(0.0);
         let whole = delay.max(0.0).floor();

@@ -24,7 +24,7 @@ const MOST: f64 = 2.0;
 /// is worse than PV's mean, or where no bump tells them apart that OP may be asked and that keeps PV and its duration within
 /// the guard of bump tests.
 #[must_use]
-pub fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> Option<NextTest> {
+pub(crate) fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> Option<NextTest> {
     if made.relative_gap > 1.0 {
         return None;
     }

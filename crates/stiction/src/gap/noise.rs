@@ -18,7 +18,7 @@ const HELD: f64 = 0.3;
 
 /// The quantum of a signal on a grid; `None` where it is on none, or on one far finer than its noise.
 #[must_use]
-pub fn quantum(x: &[f64]) -> Option<f64> {
+pub(crate) fn quantum(x: &[f64]) -> Option<f64> {
     let sorted = stats::sorted(x);
     let width = sorted.last()? - sorted.first()?;
     let gaps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 1e-9 * width).collect();
@@ -31,7 +31,7 @@ pub fn quantum(x: &[f64]) -> Option<f64> {
 /// The noise floor of PV, without any model of valve or process, from stretches in which it was `measured` at every point;
 /// nothing of PV on `straight` lines.
 #[must_use]
-pub fn floor(pv: &[f64], measured: &[bool], straight: bool) -> Floor {
+pub(crate) fn floor(pv: &[f64], measured: &[bool], straight: bool) -> Floor {
     let quantum = quantum(pv);
     let held = quantum.is_none() && stats::repeat_share(pv) > HELD;
     let noise_sd = if held || straight { None } else { Some(white_sd(&second_where(pv, measured))) };
@@ -44,7 +44,7 @@ pub fn floor(pv: &[f64], measured: &[bool], straight: bool) -> Floor {
 /// Standard deviation of the white part of what a model leaves at the points that were `measured`, where a recorder kept
 /// too few of them for differences of PV: from the differences between one and the next.
 #[must_use]
-pub fn of_measured(residual: &[f64], measured: &[bool], from: usize) -> Option<f64> {
+pub(crate) fn of_measured(residual: &[f64], measured: &[bool], from: usize) -> Option<f64> {
     let kept: Vec<f64> = (from..residual.len()).filter(|k| measured[*k]).map(|k| residual[k]).collect();
     let first: Vec<f64> = kept.windows(2).map(|w| w[1] - w[0]).collect();
     (first.len() > 20).then(|| stats::clipped_sd(&first) / core::f64::consts::SQRT_2)
@@ -52,7 +52,7 @@ pub fn of_measured(residual: &[f64], measured: &[bool], from: usize) -> Option<f
 
 /// Standard deviation of a residual's white part from its second differences, over the given stretches.
 #[must_use]
-pub fn high_band(residual: &[f64], stretches: &[[usize; 2]]) -> Option<f64> {
+pub(crate) fn high_band(residual: &[f64], stretches: &[[usize; 2]]) -> Option<f64> {
     let second: Vec<f64> = stretches.iter().flat_map(|[a, b]| stats::second_differences(&residual[*a..*b])).collect();
     (second.len() > 20).then(|| white_sd(&second))
 }
@@ -70,7 +70,7 @@ fn white_sd(second: &[f64]) -> f64 {
 
 /// An autoregression of a residual.
 #[derive(Debug, Clone)]
-pub struct Autoregression {
+pub(crate) struct Autoregression {
     /// Mean squared error one step ahead.
     pub mse: f64,
     /// What it leaves, with the point of each.
@@ -79,13 +79,13 @@ pub struct Autoregression {
 
 /// Fits one to the stretches of a residual; `None` for too few points.
 #[must_use]
-pub fn autoregression(residual: &[f64], stretches: &[[usize; 2]]) -> Option<Autoregression> {
+pub(crate) fn autoregression(residual: &[f64], stretches: &[[usize; 2]]) -> Option<Autoregression> {
     of_order(residual, stretches, ORDER)
 }
 
 /// Mean squared error one step ahead of noise with a memory of first order, and its pole.
 #[must_use]
-pub fn first_order(residual: &[f64], stretches: &[[usize; 2]]) -> Option<(f64, f64)> {
+pub(crate) fn first_order(residual: &[f64], stretches: &[[usize; 2]]) -> Option<(f64, f64)> {
     let pairs = || stretches.iter().flat_map(|[a, b]| residual[*a..*b].windows(2));
     let sums = pairs().fold([0.0; 3], |s, w| [s[0] + w[0] * w[0], s[1] + w[0] * w[1], s[2] + 1.0]);
     let pole = (sums[0] > 0.0).then(|| sums[1] / sums[0])?;
@@ -149,7 +149,7 @@ fn of_order(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<
 
 /// What noise models say: `base` and `best` are free-run residuals over the whole record.
 #[must_use]
-pub fn judge(problem: &Problem, base: &[f64], best: &[f64], slipped: &[bool], seed: u64) -> NoiseModels {
+pub(crate) fn judge(problem: &Problem, base: &[f64], best: &[f64], slipped: &[bool], seed: u64) -> NoiseModels {
     let nothing =
         NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: false, beyond_first: 0.0 };
     let Some(found) = autoregression(base, &problem.train) else { return nothing };
@@ -172,7 +172,13 @@ pub fn judge(problem: &Problem, base: &[f64], best: &[f64], slipped: &[bool], se
 /// The base's place whose residual is best one step ahead, and what noise models say of it: under a slow disturbance the
 /// right slips need not leave the least of PV. `best` is the least that any structure leaves.
 #[must_use]
-pub fn alone(problem: &Problem, places: &[Vec<f64>], best: &[f64], slipped: &[bool], seed: u64) -> Option<Alone> {
+pub(crate) fn alone(
+    problem: &Problem,
+    places: &[Vec<f64>],
+    best: &[f64],
+    slipped: &[bool],
+    seed: u64,
+) -> Option<Alone> {
     let of_each = places.iter().filter_map(|left| Some((left, autoregression(left, &problem.train)?)));
     let (left, found) = of_each.min_by(|a, b| a.1.mse.total_cmp(&b.1.mse))?;
     let models = judge(problem, left, best, slipped, seed);

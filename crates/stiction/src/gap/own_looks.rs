@@ -39,7 +39,7 @@ fn with_own_clues(problem: &Problem, search: &Search, thetas: &[Parameters]) -> 
 }
 
 /// Where an effect's clues say that its parameters may lie, given the base's run at a place.
-pub fn starts_at(
+pub(crate) fn starts_at(
     problem: &Problem,
     effect: &Effect,
     at: &Candidate,
@@ -55,14 +55,14 @@ pub fn starts_at(
 }
 
 /// Starts that each search may look from within so many responses.
-pub fn most(searches: &[Search], responses: u64) -> usize {
+pub(crate) fn most(searches: &[Search], responses: u64) -> usize {
     let looking = searches.iter().filter(|l| of_other_slips(l).iter().any(|part| !part.is_empty())).count();
     (responses as f64 / LOOK / looking.max(1) as f64) as usize
 }
 
 /// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide, from some
 /// of its starts, and the responses computed; `looked` are the places of the base's.
-pub fn first(
+pub(crate) fn first(
     problem: &Problem,
     search: &Search,
     looked: &[Parameters],
@@ -77,7 +77,7 @@ pub fn first(
 }
 
 /// The same from the starts that the first looks left out.
-pub fn others(problem: &Problem, search: &Search, most: usize, seed: u64) -> (Vec<Parameters>, u64) {
+pub(crate) fn others(problem: &Problem, search: &Search, most: usize, seed: u64) -> (Vec<Parameters>, u64) {
     let [_, others] = of_other_slips(search);
     // Evenly from all of them, where there is no time for each.
     let every = others.len().div_ceil(most.max(1)).max(1);
@@ -106,7 +106,7 @@ fn makes_other_slips(plan: &Plan) -> bool {
 }
 
 /// The free run of a parameter vector, and its valve signal.
-pub fn free_run(
+pub(crate) fn free_run(
     problem: &Problem,
     sign: f64,
     structure: &Structure,

@@ -18,7 +18,7 @@ const HOPELESS: f64 = 2.0;
 const AGAIN_FROM: u64 = 8;
 
 /// Pairs of the best single effects, best first, and their searches.
-pub fn run(
+pub(crate) fn run(
     problem: &Problem,
     found: &Found,
     scales: &Scales<'_>,

@@ -29,7 +29,7 @@ const SEEN: f64 = 0.3;
 
 /// Evaluates parameter vectors of one problem sample by sample, with its own buffers.
 #[derive(Debug)]
-pub struct PlainPass<'a> {
+pub(crate) struct PlainPass<'a> {
     /// The record.
     pub problem: &'a Problem,
     /// Sign of the gain.
@@ -53,7 +53,7 @@ pub struct PlainPass<'a> {
 impl<'a> PlainPass<'a> {
     /// A pass for one problem and sign of the gain.
     #[must_use]
-    pub fn new(problem: &'a Problem, sign: f64) -> Self {
+    pub(crate) fn new(problem: &'a Problem, sign: f64) -> Self {
         Self {
             problem,
             sign,
@@ -199,7 +199,7 @@ impl<'a> PlainPass<'a> {
 
     /// The best linear part at one place; `None` where the stem hardly moves, no gain of the sign helps, or the limit is
     /// reached.
-    pub fn evaluate(&mut self, structure: &Structure, theta: &Parameters, view: View) -> Option<Candidate> {
+    pub(crate) fn evaluate(&mut self, structure: &Structure, theta: &Parameters, view: View) -> Option<Candidate> {
         if self.evaluations >= self.limit {
             return None;
         }
@@ -251,7 +251,7 @@ impl<'a> PlainPass<'a> {
     }
 
     /// As [`PlainPass::evaluate`] by the plain error with fd and the gain held: only the other columns are fitted.
-    pub fn held(&mut self, structure: &Structure, theta: &Parameters, gain: f64) -> Option<Candidate> {
+    pub(crate) fn held(&mut self, structure: &Structure, theta: &Parameters, gain: f64) -> Option<Candidate> {
         self.evaluations += 1;
         let plan = structure.plan(theta);
         let (mut moved, fd) = (*theta, theta.fd);
@@ -300,13 +300,13 @@ impl<'a> PlainPass<'a> {
 
     /// Free run over the whole record, normalised PV units, the valve signal (spans) and moves of the stem as
     /// (point, size); `None` as for [`PlainPass::evaluate`].
-    pub fn simulate(&mut self, structure: &Structure, of: &Candidate) -> Option<(Vec<f64>, Vec<f64>)> {
+    pub(crate) fn simulate(&mut self, structure: &Structure, of: &Candidate) -> Option<(Vec<f64>, Vec<f64>)> {
         self.run_plan(&structure.plan(&of.theta), of, of.linear)
     }
 
     /// What a structure's effect adds to the free run of the same slips beside what the search of the slips knows itself
     /// ([`Plan::searchable`]); zeros where it knows all.
-    pub fn added(&mut self, structure: &Structure, of: &Candidate) -> Option<Vec<f64>> {
+    pub(crate) fn added(&mut self, structure: &Structure, of: &Candidate) -> Option<Vec<f64>> {
         let plan = structure.plan(&of.theta);
         let plain = plan.searchable();
         if plan == plain {
@@ -368,7 +368,7 @@ fn switched(signal: &mut Vec<f64>, time: f64, more: f64, work: &mut Vec<f64>) {
 
 /// Whether two lags side by side are not the process but the closed loop's controller read backwards, which gives PV's
 /// moves from OP's and no level: the pair begins faster than half of what one lag would, or comes back to where it was.
-pub fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
+pub(crate) fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
     let total = gain[0] + gain[1];
     let slope = gain[0] / tau[0] + gain[1] / tau[1];
     slope * tau[0].min(tau[1]) / total > LEADS || total.abs() < COMES_BACK * gain[0].abs().max(gain[1].abs())
@@ -376,7 +376,7 @@ pub fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
 
 /// Signals that are fitted beside the process' answer, one entry a point, in the order of [`Plan::column`]; `tau` is the
 /// lag through which a step comes.
-pub fn loads(plan: &Plan, tau: f64, problem: &Problem) -> Vec<Vec<f64>> {
+pub(crate) fn loads(plan: &Plan, tau: f64, problem: &Problem) -> Vec<Vec<f64>> {
     let n = problem.n();
     let mut out = Vec::new();
     if let Some(omega) = plan.omega {
@@ -439,4 +439,4 @@ fn course(out: &mut Vec<f64>, n: usize, from: usize, a: f64) {
 }
 
 #[cfg(test)]
-pub mod tests;
+pub(crate) mod tests;

@@ -25,7 +25,7 @@ pub struct Drift {
 impl Drift {
     /// At each of `n` points the gain over that in the middle, less 1, over the change: from about -1/2 to 1/2, held for a
     /// [`STAIRS`]th of the record.
-    pub fn course(self, n: usize) -> impl Iterator<Item = f64> {
+    pub(crate) fn course(self, n: usize) -> impl Iterator<Item = f64> {
         let by_factor = self.by_factor && self.change.abs() > 1e-6;
         let exponent = 2.0 * libm::asinh(0.5 * self.change);
         let stair = n.div_ceil(STAIRS).max(1);
@@ -94,20 +94,20 @@ pub struct Plan {
 impl Plan {
     /// Both time constants beside a main one of this logarithm, points; the second 0 for none.
     #[must_use]
-    pub fn time_constants(&self, log_tau: f64) -> [f64; 2] {
+    pub(crate) fn time_constants(&self, log_tau: f64) -> [f64; 2] {
         let tau = libm::exp(log_tau);
         if self.tau2 > 0.0 { separated(tau, self.tau2).into() } else { [tau, 0.0] }
     }
 
     /// Where its slips end.
     #[must_use]
-    pub const fn slip_end(&self) -> SlipEnd {
+    pub(crate) const fn slip_end(&self) -> SlipEnd {
         if self.overshoot { SlipEnd::Beyond } else { SlipEnd::Short }
     }
 
     /// The base with a valve law, or without friction.
     #[must_use]
-    pub const fn base(law: Option<Law>) -> Self {
+    pub(crate) const fn base(law: Option<Law>) -> Self {
         Self {
             law,
             overshoot: false,
@@ -133,25 +133,25 @@ impl Plan {
     /// What the search of the slips knows of it: all but a process that goes with its level or has a zero. Loads are free
     /// columns there.
     #[must_use]
-    pub const fn searchable(&self) -> Self {
+    pub(crate) const fn searchable(&self) -> Self {
         let tau2 = if self.zero { 0.0 } else { self.tau2 };
         Self { level: 0.0, zero: false, tau2, omega: None, ramp: None, step: None, neighbour: None, ..*self }
     }
 
     /// Whether something stands behind the stem that changes its signal.
     #[must_use]
-    pub fn shapes_signal(&self) -> bool {
+    pub(crate) fn shapes_signal(&self) -> bool {
         self.follows() || self.bend != 0.0 || self.switch.is_some() || self.drift.is_some()
     }
 
     /// Whether something follows the stem that changes its signal.
     #[must_use]
-    pub fn follows(&self) -> bool {
+    pub(crate) fn follows(&self) -> bool {
         self.rate < f64::INFINITY || self.stops != Self::base(None).stops || self.play > 0.0
     }
 
     /// Lets what follows the stem (rate limit, ends of the flow, play) act on its signal, `per` points a value.
-    pub fn follow(&self, valve: &mut [f64], per: f64) {
+    pub(crate) fn follow(&self, valve: &mut [f64], per: f64) {
         let Some(first) = valve.first().copied() else { return };
         if self.rate < f64::INFINITY {
             let mut stem = first;
@@ -176,13 +176,13 @@ impl Plan {
 
     /// The valve's characteristic at `v`.
     #[must_use]
-    pub fn bent(&self, v: f64) -> f64 {
+    pub(crate) fn bent(&self, v: f64) -> f64 {
         bent(v, self.bend)
     }
 
     /// The class of process that the search of [`crate::ident`] knows it by.
     #[must_use]
-    pub fn class(&self) -> Class {
+    pub(crate) fn class(&self) -> Class {
         match (self.integrating, self.tau2 > 0.0 && !self.zero) {
             (true, _) => Class::Integrating,
             (false, true) => Class::Second,
@@ -192,14 +192,14 @@ impl Plan {
 
     /// Whether the valve signal is linear in fd, `at - fd * direction`.
     #[must_use]
-    pub fn is_linear_in_fd(&self) -> bool {
+    pub(crate) fn is_linear_in_fd(&self) -> bool {
         self.law.is_some() && !self.follows() && self.level == 0.0 && self.bend == 0.0 && !self.zero
     }
 
     /// Where the linear coefficients of a part stand among those of the other columns, which the evaluator makes in this
     /// order: the constant, the memories (or an integrator's slope), then the parts.
     #[must_use]
-    pub fn column(&self, part: Part) -> usize {
+    pub(crate) fn column(&self, part: Part) -> usize {
         let lags = if !self.integrating && self.tau2 > 0.0 { 2 } else { 1 };
         let waves = if self.omega.is_some() { 2 } else { 0 };
         let [ramp, drift, step] = [self.ramp.is_some(), self.drift.is_some(), self.step.is_some()].map(usize::from);
@@ -214,7 +214,7 @@ impl Plan {
 
     /// Linear coefficients beside gain, fd, constant and memory.
     #[must_use]
-    pub fn extras(&self) -> usize {
+    pub(crate) fn extras(&self) -> usize {
         let two = if self.omega.is_some() { 2 } else { 0 };
         let loads = [self.ramp.is_some(), self.step.is_some(), self.neighbour.is_some()];
         let ones = [self.drift.is_some(), self.zero].into_iter().chain(loads);

@@ -48,7 +48,7 @@ pub struct Features([f64; NAMES.len()]);
 impl Features {
     /// Of what is ranked, best first.
     #[must_use]
-    pub fn of(basis: &Basis, ranked: &[&Contender]) -> Self {
+    pub(crate) fn of(basis: &Basis, ranked: &[&Contender]) -> Self {
         let flag = |x: bool| f64::from(u8::from(x));
         let log = |x: Option<f64>| libm::log(x.unwrap_or(1.0)).clamp(-0.1, 1.5);
         let base = &basis.base;
@@ -110,7 +110,7 @@ impl Features {
     }
 
     /// Names and values.
-    pub fn named(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
+    pub(crate) fn named(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
         NAMES.into_iter().zip(self.0)
     }
 }

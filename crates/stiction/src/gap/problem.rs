@@ -16,7 +16,7 @@ use crate::signal::stats;
 use crate::sim::steps::Path;
 
 /// Filter of the view in which wrong slips and slow disturbances weigh little: `1 - rho q^-1`.
-pub const MOVES_RHO: f64 = 0.95;
+pub(crate) const MOVES_RHO: f64 = 0.95;
 /// Periods in a block.
 const BLOCK_PERIODS: f64 = 1.5;
 /// Fewest and most blocks.
@@ -78,7 +78,7 @@ pub struct Problem {
 
 /// What the base of every fit is told.
 #[must_use]
-pub fn options(seed: u64, period: f64) -> Options {
+pub(crate) fn options(seed: u64, period: f64) -> Options {
     Options {
         model: ModelChoice::Fopdt,
         valve: ValveChoice::He,
@@ -90,7 +90,7 @@ pub fn options(seed: u64, period: f64) -> Options {
 
 /// Period of the record's oscillation, or of its typical movement, points; and whether it oscillates.
 #[must_use]
-pub fn period_of(record: &Record) -> (f64, bool) {
+pub(crate) fn period_of(record: &Record) -> (f64, bool) {
     let op = record.op();
     let n = record.len() as f64;
     let (period, regular) = match oscillation::detect(&op, &record.pv) {
@@ -103,7 +103,7 @@ pub fn period_of(record: &Record) -> (f64, bool) {
 impl Problem {
     /// Poses a record; `masked` points count for nothing.
     #[must_use]
-    pub fn new(record: &Record, period: Option<f64>, seed: u64, masked: Vec<bool>) -> Self {
+    pub(crate) fn new(record: &Record, period: Option<f64>, seed: u64, masked: Vec<bool>) -> Self {
         let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
         let (seen, oscillates) = period_of(record);
         let period = period.unwrap_or(seen).clamp(8.0, record.len() as f64 / 4.0);
@@ -140,7 +140,7 @@ impl Problem {
 
     /// The same problem fitted only where PV was `measured`; errors on held-out stretches count everywhere.
     #[must_use]
-    pub fn fitted_where(mut self, measured: &[bool]) -> Self {
+    pub(crate) fn fitted_where(mut self, measured: &[bool]) -> Self {
         if measured.len() == self.n() && !measured.iter().all(|m| *m) {
             let mut drawn = self.normalised.pv.clone();
             between(measured, &mut drawn);
@@ -154,19 +154,19 @@ impl Problem {
 
     /// PV as it is fitted, deviations.
     #[must_use]
-    pub fn fitted_pv(&self) -> &[f64] {
+    pub(crate) fn fitted_pv(&self) -> &[f64] {
         self.drawn.as_deref().unwrap_or(&self.normalised.pv)
     }
 
     /// Whether PV was measured at a point.
     #[must_use]
-    pub fn is_measured(&self, k: usize) -> bool {
+    pub(crate) fn is_measured(&self, k: usize) -> bool {
         self.measured[k]
     }
 
     /// The same problem with other points held out.
     #[must_use]
-    pub fn held_out_by(&self, held_out: &[bool]) -> Self {
+    pub(crate) fn held_out_by(&self, held_out: &[bool]) -> Self {
         let mut problem = self.clone();
         problem.blocks.held_out = held_out.to_vec();
         problem.divide_by(held_out);
@@ -202,19 +202,19 @@ impl Problem {
 
     /// PV on the fitted stretches as the evaluator takes it.
     #[must_use]
-    pub fn view(&self, view: View) -> &Arc<evaluator::View> {
+    pub(crate) fn view(&self, view: View) -> &Arc<evaluator::View> {
         &self.views[view as usize]
     }
 
     /// PV on the fitted stretches.
     #[must_use]
-    pub fn target(&self, view: View) -> &[f64] {
+    pub(crate) fn target(&self, view: View) -> &[f64] {
         &self.targets[view as usize]
     }
 
     /// The same problem for running a model over all of it.
     #[must_use]
-    pub fn whole(&self) -> Self {
+    pub(crate) fn whole(&self) -> Self {
         let mut problem = self.clone();
         problem.train = vec![[0, self.n()]];
         problem
@@ -222,25 +222,25 @@ impl Problem {
 
     /// Points in the record.
     #[must_use]
-    pub fn n(&self) -> usize {
+    pub(crate) fn n(&self) -> usize {
         self.normalised.pv.len()
     }
 
     /// Longest lag, points.
     #[must_use]
-    pub fn longest_lag(&self) -> f64 {
+    pub(crate) fn longest_lag(&self) -> f64 {
         self.normalised.limits.lag[1]
     }
 }
 
 impl View {
     /// All, in the order of their targets.
-    pub const ALL: [Self; 2] = [Self::Plain, Self::Moves];
+    pub(crate) const ALL: [Self; 2] = [Self::Plain, Self::Moves];
 }
 
 impl Problem {
     /// A signal on the fitted stretches, as a view sees it.
-    pub fn gather(&self, x: &[f64], view: View, out: &mut Vec<f64>) {
+    pub(crate) fn gather(&self, x: &[f64], view: View, out: &mut Vec<f64>) {
         out.clear();
         match view {
             View::Plain => self.train.iter().for_each(|[from, to]| out.extend_from_slice(&x[*from..*to])),

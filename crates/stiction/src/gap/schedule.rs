@@ -74,7 +74,7 @@ pub struct Work<'c> {
 
 impl Work<'_> {
     /// Runs jobs and gives their results in order.
-    pub fn all<T: Send>(&self, jobs: usize, job: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    pub(crate) fn all<T: Send>(&self, jobs: usize, job: impl Fn(usize) -> T + Sync) -> Vec<T> {
         let slots: Vec<Mutex<Option<T>>> = (0..jobs).map(|_| Mutex::new(None)).collect();
         self.executor.run(jobs, &|i| {
             let made = job(i);
@@ -101,7 +101,7 @@ impl Work<'_> {
     }
 
     /// Whether another round may begin.
-    pub fn goes_on(&mut self) -> bool {
+    pub(crate) fn goes_on(&mut self) -> bool {
         if self.asked != Some(self.done) {
             self.stopped |= !self.executor.tick(self.done);
             self.asked = Some(self.done);
@@ -112,7 +112,7 @@ impl Work<'_> {
     }
 
     /// Gives another search as much as the first one had.
-    pub const fn begin(&mut self, budget: u64) {
+    pub(crate) const fn begin(&mut self, budget: u64) {
         self.budget = self.done.saturating_add(budget);
     }
 }
@@ -134,7 +134,7 @@ pub struct Found {
 
 /// Effects of the catalogue that are simulated against this base.
 #[must_use]
-pub fn simulated(linear_base: bool) -> Vec<&'static Effect> {
+pub(crate) fn simulated(linear_base: bool) -> Vec<&'static Effect> {
     let wanted = |e: &&Effect| match e.way {
         Way::Simulated => !linear_base || !e.needs_friction,
         Way::AgainstLinear => linear_base,
@@ -152,7 +152,7 @@ fn search(structure: Structure, sign: f64, starts: Vec<[f64; MAX_PARAMS]>, strea
 /// While it leaves more than noise, a scan of another part of the record with other chance says where to begin again, up
 /// to [`AGAIN`] times: every effect starts from the base's slips.
 #[must_use]
-pub fn base(
+pub(crate) fn base(
     problem: &Problem,
     law: Option<Law>,
     floor: Option<f64>,
@@ -221,7 +221,7 @@ fn base_once(problem: &Problem, law: Option<Law>, work: &mut Work<'_>) -> Option
 
 /// Whether a search is at the floor and leaves white noise that does not follow OP.
 #[must_use]
-pub fn is_calm(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
+pub(crate) fn is_calm(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
     let Some(left) = residual_of(problem, search).filter(|left| reaches(problem, left, floor, CALM)) else {
         return false;
     };
@@ -249,13 +249,13 @@ fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>, within: f64) -> 
 
 /// What a search's best candidate leaves of PV at each point, deviations.
 #[must_use]
-pub fn residual_of(problem: &Problem, search: &Search) -> Option<Vec<f64>> {
+pub(crate) fn residual_of(problem: &Problem, search: &Search) -> Option<Vec<f64>> {
     residual_at(problem, search, search.best.first()?)
 }
 
 /// The same of another of its places.
 #[must_use]
-pub fn residual_at(problem: &Problem, search: &Search, place: &Candidate) -> Option<Vec<f64>> {
+pub(crate) fn residual_at(problem: &Problem, search: &Search, place: &Candidate) -> Option<Vec<f64>> {
     let (prediction, _) = PlainPass::new(problem, search.sign).simulate(&search.structure, place)?;
     Some(problem.normalised.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect())
 }
@@ -272,7 +272,7 @@ fn searches_of(problem: &Problem, base: &Search, effects: &[&'static Effect]) ->
 
 /// Base and effects, as far as the budget goes.
 #[must_use]
-pub fn run(
+pub(crate) fn run(
     problem: &Problem,
     base_law: Option<Law>,
     without: &[String],
@@ -395,7 +395,7 @@ fn go_on(searches: &mut [Search], at: &[usize], work: &mut Work<'_>, job: &(dyn 
 
 /// Other searches for slips, with the parameters found so far and beside them, for each of the most likely structures while
 /// none explains everything and one of them gains. Says whether one did.
-pub fn search_again(
+pub(crate) fn search_again(
     problem: &Problem,
     searches: &mut [Search],
     floor: Option<f64>,
@@ -434,7 +434,7 @@ fn search_once_more(
 
 /// Another search for slips with other chance and the parameters found so far, or `beside` them, and a local search from
 /// where it leads.
-pub fn look_again(problem: &Problem, search: &mut Search, beside: bool, seed: u64) {
+pub(crate) fn look_again(problem: &Problem, search: &mut Search, beside: bool, seed: u64) {
     let (mut from, mut evaluations) = (Vec::new(), 0);
     let mut look = |search: &Search, length: Length, seed: u64| {
         let places = search_slips(problem, search, length, seed);
@@ -494,7 +494,7 @@ fn from_other_starts(problem: &Problem, searches: &mut [Search], work: &mut Work
 }
 
 /// One round for every search.
-pub fn share<'g>(
+pub(crate) fn share<'g>(
     problem: &Problem,
     searches: &mut Vec<Search>,
     effort: &Effort,

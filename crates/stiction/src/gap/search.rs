@@ -53,19 +53,19 @@ pub struct Search {
 impl Search {
     /// Least squared error on the fitted blocks.
     #[must_use]
-    pub fn sse(&self) -> f64 {
+    pub(crate) fn sse(&self) -> f64 {
         self.best.first().map_or(f64::INFINITY, |b| b.sse)
     }
 }
 
 /// Starts from which is looked at first; from the others only where no effect explains the record by then.
-pub const AT_FIRST: usize = 3;
+pub(crate) const AT_FIRST: usize = 3;
 /// Starts that are tried at every place which another search found.
 const AT_ALL_PLACES: usize = 7;
 
 /// How much work a round is: how many candidates and steps for each, view by view.
 #[derive(Debug, Clone, Copy)]
-pub struct Effort {
+pub(crate) struct Effort {
     /// By differences: candidates and steps, first and later.
     pub moves: [(usize, usize); 2],
     /// By the error itself.
@@ -75,19 +75,19 @@ pub struct Effort {
 }
 
 /// For the base.
-pub const WIDE: Effort = Effort { moves: [(12, 60), (4, 160)], plain: [(14, 60), (6, 160), (3, 400)], scans: 0 };
+pub(crate) const WIDE: Effort = Effort { moves: [(12, 60), (4, 160)], plain: [(14, 60), (6, 160), (3, 400)], scans: 0 };
 /// For an effect that may be the cause.
-pub const MIDDLE: Effort = Effort { moves: [(8, 40), (3, 100)], plain: [(8, 50), (4, 120), (2, 240)], scans: 1 };
+pub(crate) const MIDDLE: Effort = Effort { moves: [(8, 40), (3, 100)], plain: [(8, 50), (4, 120), (2, 240)], scans: 1 };
 /// Every effect's first.
-pub const FIRST: Effort = Effort { moves: [(5, 30), (2, 50)], plain: [(6, 30), (2, 80), (1, 120)], scans: 1 };
+pub(crate) const FIRST: Effort = Effort { moves: [(5, 30), (2, 50)], plain: [(6, 30), (2, 80), (1, 120)], scans: 1 };
 /// From candidates that another search has found.
-pub const NARROW: Effort = Effort { moves: [(2, 30), (1, 60)], plain: [(4, 40), (2, 100), (1, 150)], scans: 0 };
+pub(crate) const NARROW: Effort = Effort { moves: [(2, 30), (1, 60)], plain: [(4, 40), (2, 100), (1, 150)], scans: 0 };
 /// From what the other searches have found.
-pub const SMALL: Effort = Effort { moves: [(2, 20), (1, 30)], plain: [(3, 30), (1, 60), (1, 80)], scans: 0 };
+pub(crate) const SMALL: Effort = Effort { moves: [(2, 20), (1, 30)], plain: [(3, 30), (1, 60), (1, 80)], scans: 0 };
 
 /// Evaluates all of `thetas` with all starts of a search, and `own` as they are, then improves the best; each way in which
 /// the effect may act by itself, since the steps of one lead nowhere in another.
-pub fn local_search(
+pub(crate) fn local_search(
     problem: &Problem,
     search: &mut Search,
     thetas: &[Parameters],
@@ -135,7 +135,7 @@ pub fn local_search(
 
 /// Starts whose slips are not the base's, in the order in which they are tried: some evenly from all of them, then the
 /// others.
-pub fn of_other_slips(search: &Search) -> [Vec<[f64; MAX_PARAMS]>; 2] {
+pub(crate) fn of_other_slips(search: &Search) -> [Vec<[f64; MAX_PARAMS]>; 2] {
     let every = search.starts.len().div_ceil(AT_FIRST).max(1);
     let mut parts = [Vec::new(), Vec::new()];
     for (i, p) in search.starts.iter().enumerate() {
@@ -156,13 +156,13 @@ fn for_all_places(search: &Search) -> Vec<[f64; MAX_PARAMS]> {
 }
 
 /// Whether the first looks left starts out.
-pub fn has_others(search: &Search) -> bool {
+pub(crate) fn has_others(search: &Search) -> bool {
     let [_, others] = of_other_slips(search);
     !others.is_empty() && search.structure.each().all(|e| e.stage != Stage::Disturbance)
 }
 
 /// Whether a plan makes other slips than the base, or another signal of the same slips.
-pub fn has_own_search(plan: &Plan, structure: &Structure) -> bool {
+pub(crate) fn has_own_search(plan: &Plan, structure: &Structure) -> bool {
     structure.law.is_some() && plan.searchable() != Plan::base(structure.law)
 }
 
@@ -171,7 +171,7 @@ pub type Form = [bool; MAX_PARAMS];
 
 /// Which of the alternatives that a structure knows these parameters choose.
 #[must_use]
-pub fn form_of(structure: &Structure, p: &[f64; MAX_PARAMS]) -> Form {
+pub(crate) fn form_of(structure: &Structure, p: &[f64; MAX_PARAMS]) -> Form {
     let mut form = [false; MAX_PARAMS];
     for ((slot, param), value) in form.iter_mut().zip(structure.params()).zip(p) {
         *slot = param.unit == Unit::Choice && *value > 0.5;
@@ -232,7 +232,12 @@ fn search_form(
 
 /// The best place by differences that steps from these lead to, with the linear part that PV itself asks for; and the
 /// responses computed.
-pub fn by_differences(problem: &Problem, search: &Search, from: &[Parameters], seed: u64) -> (Option<Candidate>, u64) {
+pub(crate) fn by_differences(
+    problem: &Problem,
+    search: &Search,
+    from: &[Parameters],
+    seed: u64,
+) -> (Option<Candidate>, u64) {
     let mut evaluator = Evaluator::new(problem, search.sign);
     let mut rng = seeded_rng(seed, 99);
     let structure = &search.structure;
@@ -376,7 +381,7 @@ fn scans(
 }
 
 /// The best half overall, the rest from all sizes of s in turn: the right size may begin badly.
-pub fn of_every_size(pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
+pub(crate) fn of_every_size(pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
     let mut chosen = apart(pool.clone(), wanted / 2);
     let class = |c: &Candidate| (-2.0 * libm::log(c.theta.s.max(1e-3))).floor() as i64;
     let mut rest = apart(pool, usize::MAX);
@@ -551,7 +556,7 @@ fn another_start(normalised: &NormalisedRecord, first: FirstSlip, rng: &mut ChaC
 
 /// Every search's best candidates, for every other search to try with its own parameters.
 #[must_use]
-pub fn exchange(searches: &[Search], each: usize) -> Vec<Parameters> {
+pub(crate) fn exchange(searches: &[Search], each: usize) -> Vec<Parameters> {
     let mut out: Vec<Parameters> = Vec::new();
     for search in searches {
         for candidate in search.best.iter().take(each) {

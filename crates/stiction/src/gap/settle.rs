@@ -31,13 +31,13 @@ const SETTINGS: Settings =
     Settings { moves: 12, edge: 2e-3, first: 0.03, grow: 2.0, shrink: 0.3, last: 5e-4, difference: 0.01, rounds: 3 };
 
 /// Steps along the lattice for a place that is far off, for one near by, and for one that is nearly right.
-pub const FAR: &[i32] = &[8, 3, 1];
-pub const NEAR: &[i32] = &[2, 1];
-pub const LAST: &[i32] = &[1];
+pub(crate) const FAR: &[i32] = &[8, 3, 1];
+pub(crate) const NEAR: &[i32] = &[2, 1];
+pub(crate) const LAST: &[i32] = &[1];
 
 /// The parameter vector inside its bounds.
 #[must_use]
-pub fn clamped(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Parameters {
+pub(crate) fn clamped(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Parameters {
     let limits = problem.normalised.limits;
     theta.log_tau = theta.log_tau.clamp(libm::log(limits.tau[0]), libm::log(limits.tau[1]));
     theta.lag = theta.lag.clamp(limits.lag[0], limits.lag[1]);
@@ -62,7 +62,7 @@ pub fn clamped(structure: &Structure, mut theta: Parameters, problem: &Problem) 
 /// The parameter vector where its structure may stand; for a stem that may overshoot also the same way back and as far
 /// beyond.
 #[must_use]
-pub fn fitted_to(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Vec<Parameters> {
+pub(crate) fn fitted_to(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Vec<Parameters> {
     if structure.plan(&theta).slip_end() == SlipEnd::Beyond {
         // The base is among its models: it must never do worse.
         let mut out = vec![clamped(structure, theta, problem)];
@@ -83,7 +83,13 @@ pub fn fitted_to(structure: &Structure, mut theta: Parameters, problem: &Problem
 
 impl Evaluator<'_> {
     /// The candidate of a parameter vector, its process settled by steps of these sizes along the lattice.
-    pub fn fit(&mut self, structure: &Structure, theta: &Parameters, view: View, sizes: &[i32]) -> Option<Candidate> {
+    pub(crate) fn fit(
+        &mut self,
+        structure: &Structure,
+        theta: &Parameters,
+        view: View,
+        sizes: &[i32],
+    ) -> Option<Candidate> {
         let prepared = self.prepare(structure, theta)?;
         let place = self.place_of(&prepared);
         let start = self.at(structure, &prepared, place, view);
@@ -91,7 +97,7 @@ impl Evaluator<'_> {
     }
 
     /// The best process behind the signal prepared last, from a place and its candidate.
-    pub fn settle_process(
+    pub(crate) fn settle_process(
         &mut self,
         structure: &Structure,
         prepared: &Prepared,
@@ -162,7 +168,7 @@ impl Evaluator<'_> {
 
     /// A candidate with its continuous parameters settled one after the other by parabolas, each with what the model
     /// trades for it and alone.
-    pub fn settle_parameters(
+    pub(crate) fn settle_parameters(
         &mut self,
         structure: &Structure,
         start: Candidate,
@@ -273,7 +279,7 @@ impl Evaluator<'_> {
 
     /// The last refinement: time constants and parameters of effects off the lattice, by quadratic models of the plain
     /// error that differences of costs make.
-    pub fn refine(&mut self, structure: &Structure, start: Candidate) -> Candidate {
+    pub(crate) fn refine(&mut self, structure: &Structure, start: Candidate) -> Candidate {
         let mut best = start;
         let mut size = SETTINGS.difference;
         for _ in 0..SETTINGS.rounds {

@@ -29,7 +29,7 @@ const FEWEST_STORED: usize = 12;
 
 /// Looks for all of them; `period` in points. Points are masked for none of the effects in `without`.
 #[must_use]
-pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
+pub(crate) fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     let pv = &record.pv;
     let n = pv.len() as f64;
     let sd = stats::std_dev(pv);

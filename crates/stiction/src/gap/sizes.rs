@@ -12,7 +12,7 @@ use crate::units::number;
 pub struct Quantity {
     /// The value.
     pub value: f64,
-    /// Its unit, as [`Parameter::unit`].
+    /// Its unit, as that of the parameter.
     pub unit: String,
 }
 
@@ -23,19 +23,19 @@ pub struct Sizes<'n>(pub &'n BTreeMap<String, Quantity>);
 impl Sizes<'_> {
     /// A size.
     #[must_use]
-    pub fn value(&self, name: &str) -> Option<f64> {
+    pub(crate) fn value(&self, name: &str) -> Option<f64> {
         self.0.get(name).map(|q| q.value)
     }
 
     /// A size in figures.
     #[must_use]
-    pub fn said(&self, name: &str) -> Option<String> {
+    pub(crate) fn said(&self, name: &str) -> Option<String> {
         self.value(name).map(number)
     }
 
     /// The amount of a change as per cent.
     #[must_use]
-    pub fn percent(&self, change: f64) -> String {
+    pub(crate) fn percent(&self, change: f64) -> String {
         percent(100.0 * change.abs())
     }
 }

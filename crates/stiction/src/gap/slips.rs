@@ -54,7 +54,7 @@ pub struct Places {
 /// Places for a structure's search with its best candidate's parameters, or its first start's before it has one; nothing for
 /// a stem that knows no friction.
 #[must_use]
-pub fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u64) -> Places {
+pub(crate) fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u64) -> Places {
     let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else {
         return Places::default();
     };
@@ -154,7 +154,7 @@ fn parameters(structure: &Structure, normalised: &NormalisedRecord, c: &Candidat
 
 /// Starts for a model without friction: an even look at time constants and lags.
 #[must_use]
-pub fn frictionless(problem: &Problem) -> Vec<Parameters> {
+pub(crate) fn frictionless(problem: &Problem) -> Vec<Parameters> {
     let mut out = Vec::new();
     for tau in [0.01, 0.05, 0.2, 1.0] {
         for lag in [0.01, 0.05, 0.12, 0.25] {

@@ -39,7 +39,7 @@ fn driven_by(record: &Record, mv: &[f64]) -> Record {
 }
 
 /// Looks at MV, where it is recorded and moves; `from_op` is the base's training error, PV units, beside PV's floor.
-pub fn look(
+pub(crate) fn look(
     record: &Record,
     problem: &Problem,
     traces: &Traces,

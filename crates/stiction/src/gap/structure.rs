@@ -8,7 +8,7 @@ use crate::sim::slips::Law;
 
 /// Base and the effects added to it.
 #[derive(Debug, Clone, Copy)]
-pub struct Structure {
+pub(crate) struct Structure {
     /// Law of the base.
     pub law: Option<Law>,
     /// Up to two effects.
@@ -18,43 +18,43 @@ pub struct Structure {
 impl Structure {
     /// The base alone.
     #[must_use]
-    pub const fn base(law: Option<Law>) -> Self {
+    pub(crate) const fn base(law: Option<Law>) -> Self {
         Self { law, effects: [None; 2] }
     }
 
     /// Base and one effect.
     #[must_use]
-    pub const fn with(law: Option<Law>, effect: &'static Effect) -> Self {
+    pub(crate) const fn with(law: Option<Law>, effect: &'static Effect) -> Self {
         Self { law, effects: [Some(effect), None] }
     }
 
     /// The effects, in order.
-    pub fn each(&self) -> impl Iterator<Item = &'static Effect> + '_ {
+    pub(crate) fn each(&self) -> impl Iterator<Item = &'static Effect> + '_ {
         self.effects.iter().flatten().copied()
     }
 
     /// The id in documents.
     #[must_use]
-    pub fn id(&self) -> String {
+    pub(crate) fn id(&self) -> String {
         let ids: Vec<&str> = self.each().map(|e| e.id).collect();
         if ids.is_empty() { "base".to_owned() } else { ids.join("+") }
     }
 
     /// The id in documents, with the name of the problem's neighbour.
     #[must_use]
-    pub fn id_in(&self, problem: &Problem) -> String {
+    pub(crate) fn id_in(&self, problem: &Problem) -> String {
         let named: Vec<String> = self.each().map(|e| e.id_in(problem)).collect();
         if named.is_empty() { self.id() } else { named.join("+") }
     }
 
     /// All parameters, in the order of [`Parameters::p`].
-    pub fn params(&self) -> impl Iterator<Item = &'static Param> + '_ {
+    pub(crate) fn params(&self) -> impl Iterator<Item = &'static Param> + '_ {
         self.each().flat_map(|e| e.params.iter()).take(MAX_PARAMS)
     }
 
     /// Lets the rest of a parameter vector give way to a change `by` of its parameter `at`, as far as a model trades one
     /// for the other.
-    pub fn trade(&self, theta: &mut Parameters, at: usize, by: f64, op_rate: f64) {
+    pub(crate) fn trade(&self, theta: &mut Parameters, at: usize, by: f64, op_rate: f64) {
         if let Some(param) = self.params().nth(at) {
             (param.trade)(theta, at, by, op_rate);
         }
@@ -62,13 +62,13 @@ impl Structure {
 
     /// The plan that a theta's parameters make.
     #[must_use]
-    pub fn plan(&self, theta: &Parameters) -> Plan {
+    pub(crate) fn plan(&self, theta: &Parameters) -> Plan {
         self.plan_of(&theta.p)
     }
 
     /// The plan that these parameters make.
     #[must_use]
-    pub fn plan_of(&self, p: &[f64; MAX_PARAMS]) -> Plan {
+    pub(crate) fn plan_of(&self, p: &[f64; MAX_PARAMS]) -> Plan {
         let mut plan = Plan::base(self.law);
         let mut at = 0;
         for effect in self.each() {
@@ -80,7 +80,7 @@ impl Structure {
     }
 
     /// Sets the parameter that is the logarithm of the second lag, where there is one.
-    pub fn set_second_lag(&self, theta: &mut Parameters, log: f64) {
+    pub(crate) fn set_second_lag(&self, theta: &mut Parameters, log: f64) {
         if let Some(at) = self.params().position(|p| p.reach == Reach::SecondLag) {
             theta.p[at] = log;
         }
@@ -88,7 +88,7 @@ impl Structure {
 
     /// Free parameters of a model: bands, first slip, process, effects, linear ones.
     #[must_use]
-    pub fn freedom(&self, plan: &Plan) -> usize {
+    pub(crate) fn freedom(&self, plan: &Plan) -> usize {
         let friction = if plan.law.is_some() { 3 } else { 0 };
         let lags = if plan.integrating { 1 } else { 2 };
         // Gain, constant and memory.

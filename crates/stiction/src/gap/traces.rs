@@ -30,13 +30,13 @@ pub struct Traces {
 impl Traces {
     /// The same where no model can be fitted to the stored values: all that was recorded counts.
     #[must_use]
-    pub fn all_measured(&self) -> Self {
+    pub(crate) fn all_measured(&self) -> Self {
         let measured = vec![true; self.measured.len()];
         Self { measured, thinned: false, noise_shows: false, beyond_reach: true, ..self.clone() }
     }
 
     /// Holds a prediction where PV is held.
-    pub fn hold(&self, prediction: &mut [f64]) {
+    pub(crate) fn hold(&self, prediction: &mut [f64]) {
         for k in 1..prediction.len() {
             if self.pv[k] == self.pv[k - 1] {
                 prediction[k] = prediction[k - 1];
@@ -45,14 +45,14 @@ impl Traces {
     }
 
     /// Holds it where PV stands still.
-    pub fn freeze(&self, prediction: &mut [f64]) {
+    pub(crate) fn freeze(&self, prediction: &mut [f64]) {
         let [from, to] = self.still;
         let held = prediction[from];
         prediction[from..=to].fill(held);
     }
 
     /// Cuts it off at the end of PV's range that holds more samples.
-    pub fn clip(&self, prediction: &mut [f64]) {
+    pub(crate) fn clip(&self, prediction: &mut [f64]) {
         let end = |at: usize| self.pv.iter().filter(|v| **v == self.ends[at]).count();
         let low = end(0) > end(1);
         for p in prediction {
@@ -61,7 +61,7 @@ impl Traces {
     }
 
     /// Draws it straight between the knots of PV.
-    pub fn straighten(&self, prediction: &mut [f64]) {
+    pub(crate) fn straighten(&self, prediction: &mut [f64]) {
         between(&knots(&self.pv), prediction);
     }
 }
@@ -74,7 +74,7 @@ pub(super) fn knots(pv: &[f64]) -> Vec<bool> {
 }
 
 /// Draws a signal straight between the points that are `kept`; before the first and behind the last it is held.
-pub fn between(kept: &[bool], x: &mut [f64]) {
+pub(crate) fn between(kept: &[bool], x: &mut [f64]) {
     let places: Vec<usize> = (0..x.len().min(kept.len())).filter(|k| kept[*k]).collect();
     let (Some(first), Some(last)) = (places.first().copied(), places.last().copied()) else { return };
     for pair in places.windows(2) {

@@ -6,7 +6,7 @@ use super::model::Model;
 use super::neighbour::{Neighbour, NeighbourError};
 
 /// Id of an effect, as in documents.
-pub type EffectId = &'static str;
+pub(crate) type EffectId = &'static str;
 
 /// Id of the answer that the base explains the record.
 pub const NONE: &str = "none";

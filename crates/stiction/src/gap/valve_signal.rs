@@ -18,7 +18,7 @@ const PATHS: usize = 4;
 
 /// Makes valve signals, with its own buffers.
 #[derive(Debug, Default)]
-pub struct ValveSignal {
+pub(crate) struct ValveSignal {
     /// The steps, and the cells of the bands that give the same.
     pub steps: Steps,
     mean: Vec<f64>,
@@ -29,7 +29,13 @@ pub struct ValveSignal {
 impl ValveSignal {
     /// Makes the signal of a plan with these parameters, whose fd is moved into the band of its slips where the signal is
     /// not linear in it; `None` where the stem hardly moves.
-    pub fn make(&mut self, problem: &Problem, plan: &Plan, theta: &mut Parameters, sign: f64) -> Option<Freedom> {
+    pub(crate) fn make(
+        &mut self,
+        problem: &Problem,
+        plan: &Plan,
+        theta: &mut Parameters,
+        sign: f64,
+    ) -> Option<Freedom> {
         let limits = problem.normalised.limits;
         let path = self.path(problem, plan);
         let n = problem.n();
@@ -227,7 +233,7 @@ impl Behind {
 /// What a plan has behind the stem, for the search of slips over a record of so many points; it holds fd where a pair of
 /// bands puts it.
 #[derive(Debug)]
-pub struct HeldPlan {
+pub(crate) struct HeldPlan {
     /// The plan.
     pub plan: Plan,
     /// Points of the record.
@@ -243,7 +249,7 @@ impl BehindStem for HeldPlan {
 
 /// Point at which a change of dead time happens, and by how much later the signal comes from then on, whole points and
 /// the rest.
-pub fn switch_of(time: f64, more: f64, n: usize) -> (i64, i64, f64) {
+pub(crate) fn switch_of(time: f64, more: f64, n: usize) -> (i64, i64, f64) {
     let at = time.clamp(0.0, n.saturating_sub(1) as f64) as i64;
     let whole = more.floor();
     (at, whole as i64, more - whole)

@@ -52,7 +52,7 @@ impl Scales<'_> {
     }
 
     /// One simulated effect, or pair, weighed against the base.
-    pub fn weigh(&self, search: &Search) -> Option<EffectResult> {
+    pub(crate) fn weigh(&self, search: &Search) -> Option<EffectResult> {
         let best = search.best.first()?;
         let made = fit(self.problem, search, self.floor.noise_floor, &|_| {})?;
         let structure = search.structure;
@@ -93,7 +93,7 @@ impl Scales<'_> {
 
     /// A filter in the measurement.
     #[must_use]
-    pub fn filtered(&self, effect: &'static Effect, filtered: &Filtered) -> EffectResult {
+    pub(crate) fn filtered(&self, effect: &'static Effect, filtered: &Filtered) -> EffectResult {
         let made = filtered.fit.clone();
         let sse = |rmse: f64| rmse * rmse * self.problem.target(View::Plain).len() as f64;
         let [before, after] = [self.base, &made].map(|f| (sse(f.rmse_train), f.parameters));
@@ -115,7 +115,7 @@ impl Scales<'_> {
 
     /// One effect of the recording, seen in PV. What it does is measured where it is met and a free run can follow it.
     #[must_use]
-    pub fn recorded(&self, effect: &'static Effect, floor_after: Option<f64>) -> EffectResult {
+    pub(crate) fn recorded(&self, effect: &'static Effect, floor_after: Option<f64>) -> EffectResult {
         let found = self.traces.signatures.iter().find(|s| s.id == effect.id && s.met);
         let met = found.is_some();
         let made = effect
@@ -206,7 +206,7 @@ fn is_meant(structure: &Structure, best: &Candidate) -> bool {
 /// Whether what a search's best place leaves bears its effects' names out; `floor` in PV units. Without a floor nothing
 /// speaks against them.
 #[must_use]
-pub fn leaves_noise(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
+pub(crate) fn leaves_noise(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
     let (Some(floor), Some(best)) = (floor, search.best.first()) else { return true };
     let Some(left) = residual_of(problem, search) else { return true };
     let counts = |k: &usize| !problem.blocks.masked[*k] && problem.is_measured(*k);

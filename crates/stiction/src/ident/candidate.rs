@@ -45,12 +45,12 @@ pub enum SlipEnd {
 }
 
 /// Largest fd over fs, in size, of a stem that lands beyond OP.
-pub const MOST_OVERSHOOT: f64 = 0.95;
+pub(crate) const MOST_OVERSHOOT: f64 = 0.95;
 
 impl SlipEnd {
     /// The jump of this side for one of the other triangle, 0 < j <= s, which searches are made for.
     #[must_use]
-    pub fn jump(self, s: f64, j: f64) -> f64 {
+    pub(crate) fn jump(self, s: f64, j: f64) -> f64 {
         match self {
             Self::Short => j,
             Self::Beyond => s * s / j.max(1e-3 * s),
@@ -59,7 +59,7 @@ impl SlipEnd {
 
     /// The nearest jump that goes with s.
     #[must_use]
-    pub fn keep(self, s: f64, j: f64) -> f64 {
+    pub(crate) fn keep(self, s: f64, j: f64) -> f64 {
         match self {
             Self::Short => j.clamp(0.0, s.max(0.0)),
             Self::Beyond => j.max(s),
@@ -70,12 +70,12 @@ impl SlipEnd {
 impl NormalisedRecord {
     /// The signal without friction.
     #[must_use]
-    pub fn frictionless(&self) -> [&[f64]; 2] {
+    pub(crate) fn frictionless(&self) -> [&[f64]; 2] {
         [&self.mean, &self.still]
     }
 
     /// Running maxima (or minima) of OP from its first value on.
-    pub fn records_of(path: &[f64]) -> [Vec<f64>; 2] {
+    pub(crate) fn records_of(path: &[f64]) -> [Vec<f64>; 2] {
         let first = path.first().copied().unwrap_or(0.0);
         let mut out = [vec![first], vec![first]];
         for &op in path {
@@ -90,7 +90,7 @@ impl NormalisedRecord {
 
     /// Some of its points, as a record of their own.
     #[must_use]
-    pub fn cut(&self, points: Range<usize>) -> Self {
+    pub(crate) fn cut(&self, points: Range<usize>) -> Self {
         let path = self.path[points.start * self.per_point..points.end * self.per_point].to_vec();
         Self {
             records: Self::records_of(&path),
@@ -104,7 +104,7 @@ impl NormalisedRecord {
 
     /// The first slip that `start` stands for.
     #[must_use]
-    pub fn first_slip(&self, start: Start) -> FirstSlip {
+    pub(crate) fn first_slip(&self, start: Start) -> FirstSlip {
         let list = &self.records[usize::from(!start.up)];
         let direction = if start.up { 1.0 } else { -1.0 };
         let threshold = match start.record.min(list.len() - 1) {
@@ -116,7 +116,7 @@ impl NormalisedRecord {
 
     /// A start some points `later`, as far as OP goes on to new records there.
     #[must_use]
-    pub fn moved_start(&self, start: Start, later: f64) -> Start {
+    pub(crate) fn moved_start(&self, start: Start, later: f64) -> Start {
         let last = self.records[usize::from(!start.up)].len().saturating_sub(1);
         let by = (later * self.per_point as f64).round();
         let record = (start.record as f64 + by).clamp(0.0, last as f64) as usize;
@@ -133,7 +133,7 @@ impl NormalisedRecord {
     }
 
     /// Starts worth trying with the band `fs`: the stem below, on and above OP's first value.
-    pub fn starts(&self, fs: f64, wanted: usize) -> Vec<Start> {
+    pub(crate) fn starts(&self, fs: f64, wanted: usize) -> Vec<Start> {
         let mut out: Vec<Start> = Vec::with_capacity(wanted);
         for k in 0..wanted {
             let offset = if wanted > 1 { 1.8 * k as f64 / (wanted - 1) as f64 - 0.9 } else { 0.0 };
@@ -192,7 +192,7 @@ impl Candidate {
 
 /// How hard one candidate is fitted.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Effort {
+pub(crate) struct Effort {
     /// Gauss-Newton steps.
     pub steps: usize,
     /// Cost beyond which the steps are not worth it.
@@ -202,11 +202,11 @@ pub struct Effort {
 }
 
 /// Fewest moves of the stem from which a model is fitted.
-pub const MIN_SLIPS: usize = 3;
+pub(crate) const MIN_SLIPS: usize = 3;
 
 /// Turns (s, j, start) into fitted candidates.
 #[derive(Debug)]
-pub struct CandidateFitter<'a> {
+pub(crate) struct CandidateFitter<'a> {
     /// The record.
     pub normalised: &'a NormalisedRecord,
     /// The valve law.
@@ -225,7 +225,7 @@ pub struct CandidateFitter<'a> {
 impl Effort {
     /// So many steps, whatever they promise.
     #[must_use]
-    pub const fn of(steps: usize) -> Self {
+    pub(crate) const fn of(steps: usize) -> Self {
         Self { steps, hopeless: f64::INFINITY, wanted: f64::INFINITY }
     }
 }
@@ -233,12 +233,12 @@ impl Effort {
 impl<'a> CandidateFitter<'a> {
     /// Fits for one record, law, class, target and sign.
     #[must_use]
-    pub fn new(normalised: &'a NormalisedRecord, law: Law, class: Class, target: &'a Target, sign: f64) -> Self {
+    pub(crate) fn new(normalised: &'a NormalisedRecord, law: Law, class: Class, target: &'a Target, sign: f64) -> Self {
         Self { normalised, law, class, target, sign, fitter: Fitter::default(), sequence: Sequence::default() }
     }
 
     /// Fits the process from the best of the `shapes`; `None` where the stem hardly moves.
-    pub fn fit(&mut self, s: f64, j: f64, start: Start, shapes: &[Shape], effort: Effort) -> Option<Candidate> {
+    pub(crate) fn fit(&mut self, s: f64, j: f64, start: Start, shapes: &[Shape], effort: Effort) -> Option<Candidate> {
         let freedom = self.slip(s, j, start)?;
         self.fit_within(&freedom, [s, j], start, shapes, effort)
     }
@@ -293,7 +293,7 @@ impl<'a> CandidateFitter<'a> {
     }
 
     /// Mean squared error on what follows the first `share` of the record when the process is fitted to that part alone.
-    pub fn held_out(&mut self, of: &Candidate, share: f64) -> f64 {
+    pub(crate) fn held_out(&mut self, of: &Candidate, share: f64) -> f64 {
         let Some(freedom) = self.slip(of.s, of.j, of.start) else { return f64::INFINITY };
         let count = (share * self.target.y.len() as f64) as usize;
         let end = self.target.from + count;
@@ -330,13 +330,19 @@ impl<'a> CandidateFitter<'a> {
 
 /// The bands fd that the slips of `sequence` leave open to (s, j).
 #[must_use]
-pub fn freedom(sequence: &Sequence, bands: [f64; 2], sign: f64, limits: Limits, slip_end: SlipEnd) -> Freedom {
+pub(crate) fn freedom(sequence: &Sequence, bands: [f64; 2], sign: f64, limits: Limits, slip_end: SlipEnd) -> Freedom {
     band_freedom([sequence.s_cell, sequence.j_cell], bands, sign, limits, slip_end)
 }
 
 /// The bands fd that slips with these cells of s and j leave open to (s, j).
 #[must_use]
-pub fn band_freedom(cells: [[f64; 2]; 2], [s, j]: [f64; 2], sign: f64, limits: Limits, slip_end: SlipEnd) -> Freedom {
+pub(crate) fn band_freedom(
+    cells: [[f64; 2]; 2],
+    [s, j]: [f64; 2],
+    sign: f64,
+    limits: Limits,
+    slip_end: SlipEnd,
+) -> Freedom {
     let [[s_low, s_high], [j_low, j_high]] = cells;
     let s_high = if s_high.is_finite() { s_high } else { s.max(1.0) };
     let low = match slip_end {

@@ -35,7 +35,7 @@ pub(super) const INTEGRATOR_SCALE: f64 = 50.0;
 
 /// Buffers for one response.
 #[derive(Debug, Clone, Default)]
-pub struct Scratch {
+pub(crate) struct Scratch {
     a: Vec<f64>,
     b: Vec<f64>,
     c: Vec<f64>,
@@ -45,7 +45,7 @@ pub struct Scratch {
 impl Class {
     /// Entries of [`Shape`] in use; the last one is the lag.
     #[must_use]
-    pub const fn shape_len(self) -> usize {
+    pub(crate) const fn shape_len(self) -> usize {
         match self {
             Self::Integrating => 1,
             Self::First | Self::LagIntegrating => 2,
@@ -55,7 +55,7 @@ impl Class {
 
     /// Columns of the process' own memory, the constant included.
     #[must_use]
-    pub const fn memory_len(self) -> usize {
+    pub(crate) const fn memory_len(self) -> usize {
         match self {
             Self::First | Self::Integrating => 2,
             Self::Second | Self::LagIntegrating => 3,
@@ -64,13 +64,13 @@ impl Class {
 
     /// Time constants in the model.
     #[must_use]
-    pub const fn lags(self) -> usize {
+    pub(crate) const fn lags(self) -> usize {
         self.shape_len() - 1
     }
 
     /// Lags in the model: its order as reported.
     #[must_use]
-    pub const fn order(self) -> u8 {
+    pub(crate) const fn order(self) -> u8 {
         match self {
             Self::First | Self::Integrating => 1,
             Self::Second | Self::LagIntegrating => 2,
@@ -79,13 +79,13 @@ impl Class {
 
     /// Whether it integrates.
     #[must_use]
-    pub const fn integrates(self) -> bool {
+    pub(crate) const fn integrates(self) -> bool {
         matches!(self, Self::Integrating | Self::LagIntegrating)
     }
 
     /// The shape of a single lag `tau` and a `lag`, in points, as this class starts from it.
     #[must_use]
-    pub fn start(self, tau: f64, lag: f64) -> Shape {
+    pub(crate) fn start(self, tau: f64, lag: f64) -> Shape {
         let t = libm::log(tau);
         match self {
             Self::First => [t, lag, 0.0],
@@ -97,7 +97,7 @@ impl Class {
 
     /// The same shape inside the limits; the two lags of [`Class::Second`] are kept in falling order and apart.
     #[must_use]
-    pub fn clamp(self, mut shape: Shape, limits: &Limits) -> Shape {
+    pub(crate) fn clamp(self, mut shape: Shape, limits: &Limits) -> Shape {
         let last = self.shape_len() - 1;
         let low = libm::log(limits.tau[0]);
         let high = libm::log(limits.tau[1]);
@@ -118,17 +118,23 @@ impl Class {
 
     /// Lag of a shape, points.
     #[must_use]
-    pub const fn lag(self, shape: &Shape) -> f64 {
+    pub(crate) const fn lag(self, shape: &Shape) -> f64 {
         shape[self.shape_len() - 1]
     }
 
     /// Responses of unit gain to two signals at once, each from rest at its first value.
-    pub fn respond_pair(self, shape: &Shape, v: [&[f64]; 2], work: &mut Scratch, out: [&mut Vec<f64>; 2]) {
+    pub(crate) fn respond_pair(self, shape: &Shape, v: [&[f64]; 2], work: &mut Scratch, out: [&mut Vec<f64>; 2]) {
         self.respond_shapes([shape, shape], v, work, out);
     }
 
     /// Responses of unit gain, each of its own shape to its own signal, from rest at the signal's first value.
-    pub fn respond_shapes(self, shapes: [&Shape; 2], v: [&[f64]; 2], work: &mut Scratch, out: [&mut Vec<f64>; 2]) {
+    pub(crate) fn respond_shapes(
+        self,
+        shapes: [&Shape; 2],
+        v: [&[f64]; 2],
+        work: &mut Scratch,
+        out: [&mut Vec<f64>; 2],
+    ) {
         let lag: [usize; 2] = core::array::from_fn(|i| self.lag(shapes[i]).max(0.0).floor() as usize);
         let fraction: [f64; 2] = core::array::from_fn(|i| self.lag(shapes[i]).max(0.0) - lag[i] as f64);
         let rest: [f64; 2] = core::array::from_fn(|i| v[i].first().copied().unwrap_or(0.0));
@@ -161,7 +167,7 @@ impl Class {
 
     /// Column `index` of the process' own memory at points `from..from + n`, filtered by `1 - rho q^-1`; shorter where
     /// nothing is left of it.
-    pub fn memory(self, shape: &Shape, index: usize, from: usize, n: usize, rho: f64, out: &mut Vec<f64>) {
+    pub(crate) fn memory(self, shape: &Shape, index: usize, from: usize, n: usize, rho: f64, out: &mut Vec<f64>) {
         out.clear();
         let slot = match (self, index) {
             (_, 0) => {
@@ -187,14 +193,8 @@ impl Class {
 
     /// Gain in valve units to signal units (a point, when integrating) of the coefficient of the unit response.
     #[must_use]
-    pub fn gain(self, coefficient: f64) -> f64 {
+    pub(crate) fn gain(self, coefficient: f64) -> f64 {
         if self.integrates() { coefficient / INTEGRATOR_SCALE } else { coefficient }
-    }
-
-    /// Time constants of a shape, points, largest first.
-    #[must_use]
-    pub fn time_constants(self, shape: &Shape) -> Vec<f64> {
-        shape[..self.shape_len() - 1].iter().map(|t| libm::exp(*t)).collect()
     }
 }
 

@@ -72,7 +72,7 @@ pub fn read(record: &Record) -> Option<Reading> {
 
 /// As [`read`], with other lags tried, points; the outer two only bound the others.
 #[must_use]
-pub fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> {
+pub(crate) fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> {
     let signals = Signals { lags, ..Signals::of(record)? };
     let mut plain: Vec<(Shape, Vec<Fit>)> = Vec::new();
     for form in signals.forms() {

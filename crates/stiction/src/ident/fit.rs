@@ -23,7 +23,7 @@ pub struct Target {
 impl Target {
     /// Filters `pv` by `1 - rho q^-1` and starts at point `from` (at least 1).
     #[must_use]
-    pub fn new(pv: &[f64], rho: f64, from: usize) -> Self {
+    pub(crate) fn new(pv: &[f64], rho: f64, from: usize) -> Self {
         let from = from.max(1);
         Self { y: cut(pv, rho, from), rho, from }
     }
@@ -75,7 +75,7 @@ pub struct Fitted {
 
 /// Fits models to targets, with its own buffers.
 #[derive(Debug, Default)]
-pub struct Fitter {
+pub(crate) struct Fitter {
     work: Scratch,
     long: [Vec<f64>; 2],
     at: Vec<f64>,
@@ -99,7 +99,7 @@ const MAX_LOG_STEP: f64 = 0.7;
 
 impl Fitter {
     /// The best linear part for a given shape. `signal` holds the valve signal's two halves, `at - fd * direction`.
-    pub fn linear(
+    pub(crate) fn linear(
         &mut self,
         class: Class,
         shape: &Shape,
@@ -159,7 +159,7 @@ impl Fitter {
     /// Up to `steps` Gauss-Newton steps from `start` (as [`Fitter::linear`] just gave it for the same signal); stops
     /// at a relative gain below `enough`, and where the slopes do not promise a squared error below `wanted`.
     #[allow(clippy::too_many_arguments)] // the signal, the target and the freedom are three things
-    pub fn improve(
+    pub(crate) fn improve(
         &mut self,
         class: Class,
         start: Fitted,
@@ -194,7 +194,7 @@ impl Fitter {
 
     /// As [`Fitter::improve`] until nothing helps any more: between rounds the lag hops to either side, because the
     /// cost has a kink at every whole lag that a slope does not see beyond.
-    pub fn settle(
+    pub(crate) fn settle(
         &mut self,
         class: Class,
         start: Fitted,
@@ -253,7 +253,7 @@ impl Fitter {
     }
 
     /// What a fitted model leaves of a target that may be longer than the one it was fitted to.
-    pub fn leftover(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> Vec<f64> {
+    pub(crate) fn leftover(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> Vec<f64> {
         self.lay(class, &fit.shape, signal, target);
         self.put_together(fit.fd);
         self.leave(class.memory_len(), fit, target);
@@ -364,7 +364,7 @@ impl Fitter {
 
 /// Squared error against fd: a quotient of parabolas.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BandProfile {
+pub(crate) struct BandProfile {
     uu: f64,
     ud: f64,
     dd: f64,
@@ -376,13 +376,13 @@ pub struct BandProfile {
 impl BandProfile {
     /// From products as [`best_band`] takes them and the squares that gain and band explain a part of.
     #[must_use]
-    pub const fn new([uu, ud, dd, uy, dy]: [f64; 5], yy: f64) -> Self {
+    pub(crate) const fn new([uu, ud, dd, uy, dy]: [f64; 5], yy: f64) -> Self {
         Self { uu, ud, dd, uy, dy, yy }
     }
 
     /// Squared error with the best gain for this fd.
     #[must_use]
-    pub fn sse(&self, fd: f64) -> f64 {
+    pub(crate) fn sse(&self, fd: f64) -> f64 {
         let power = self.uu - 2.0 * fd * self.ud + fd * fd * self.dd;
         let along = self.uy - fd * self.dy;
         if power > 1e-12 * (self.uu + fd * fd * self.dd) { self.yy - along * along / power } else { self.yy }
@@ -391,7 +391,7 @@ impl BandProfile {
     /// Standard error of fd next to a free gain, for white residuals of this variance; infinite where the data cannot tell fd
     /// from the gain.
     #[must_use]
-    pub fn error(&self, fd: f64, variance: f64, gain: f64) -> f64 {
+    pub(crate) fn error(&self, fd: f64, variance: f64, gain: f64) -> f64 {
         let power = self.uu - 2.0 * fd * self.ud + fd * fd * self.dd;
         let along = self.ud - fd * self.dd;
         let own = self.dd - along * along / power;
@@ -404,7 +404,7 @@ impl BandProfile {
 
     /// Whether fd only changes the size of the response, so that the gain makes up for it.
     #[must_use]
-    pub fn is_flat(&self) -> bool {
+    pub(crate) fn is_flat(&self) -> bool {
         self.uu * self.dd - self.ud * self.ud <= 1e-6 * self.uu * self.dd
     }
 }
@@ -414,7 +414,7 @@ impl BandProfile {
 /// quotient of parabolas in fd, so its best place is the free optimum or an end of the band. A signal of which the
 /// process' own memory leaves next to nothing (of `whole`, its squares before) has no gain.
 #[inline]
-pub fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom: &Freedom) -> (f64, f64, f64) {
+pub(crate) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom: &Freedom) -> (f64, f64, f64) {
     let [low, high] = freedom.fd;
     let determinant = uu * dd - ud * ud;
     let free = if determinant > 1e-6 * uu * dd {

@@ -6,7 +6,13 @@ use super::fit::{Fitted, Fitter, Freedom, Target};
 
 /// The best process of one class and sign that takes OP as it is, from an even look at time constants and lags of which
 /// the best `settled` are improved until nothing helps any more. Its squared error is at most that of no process at all.
-pub fn best(normalised: &NormalisedRecord, target: &Target, class: Class, sign: f64, settled: usize) -> Option<Fitted> {
+pub(crate) fn best(
+    normalised: &NormalisedRecord,
+    target: &Target,
+    class: Class,
+    sign: f64,
+    settled: usize,
+) -> Option<Fitted> {
     let freedom = Freedom { fd: [0.0, 0.0], fd_default: 0.0, sign, limits: normalised.limits };
     let mut fitter = Fitter::default();
     let mut fits: Vec<Fitted> = Vec::new();

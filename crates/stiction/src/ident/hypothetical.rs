@@ -19,7 +19,7 @@ use crate::sim::slips::{Law, Sequence};
 
 /// A record and its process, with any valve in front of it.
 #[derive(Debug)]
-pub struct Hypothetical<'a> {
+pub(crate) struct Hypothetical<'a> {
     record: &'a Record,
     normalised: NormalisedRecord,
     class: Class,
@@ -31,7 +31,7 @@ pub struct Hypothetical<'a> {
 
 /// One hypothetical valve.
 #[derive(Debug, Clone)]
-pub struct HypotheticalValve {
+pub(crate) struct HypotheticalValve {
     /// PV behind it, PV units.
     pub pv: Vec<f64>,
     /// s over the robust span of OP.
@@ -51,7 +51,7 @@ impl<'a> Hypothetical<'a> {
     /// Takes the process out of a record whose valve is taken for healthy; `estimate` is what [`super::quantify()`] made of
     /// it with the same `options`. `None` where no process shows.
     #[must_use]
-    pub fn new(record: &'a Record, options: &Options, estimate: &Estimate) -> Option<Self> {
+    pub(crate) fn new(record: &'a Record, options: &Options, estimate: &Estimate) -> Option<Self> {
         let (span, deviation) = (estimate.span, stats::std_dev(&record.pv));
         if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
             return None;
@@ -65,14 +65,14 @@ impl<'a> Hypothetical<'a> {
 
     /// Span of OP, OP units, that `s_over_span` is a share of.
     #[must_use]
-    pub const fn span(&self) -> f64 {
+    pub(crate) const fn span(&self) -> f64 {
         self.span
     }
 
     /// What a valve of He's law with the bands `s` and `j`, OP units, makes of PV. The stem starts at OP's first value.
     /// `None` where OP hardly moves such a stem.
     #[must_use]
-    pub fn valve(&self, s: f64, j: f64) -> Option<HypotheticalValve> {
+    pub(crate) fn valve(&self, s: f64, j: f64) -> Option<HypotheticalValve> {
         let (s, j) = (s / self.span, j / self.span);
         let normalised = &self.normalised;
         let start = normalised.starts(0.5 * (s + j), 1).first().copied()?;
@@ -106,7 +106,7 @@ impl<'a> Hypothetical<'a> {
 
     /// 1 - error with this very valve / error without friction, 0..1; the process is fitted anew to each.
     #[must_use]
-    pub fn index(&self, of: &HypotheticalValve) -> f64 {
+    pub(crate) fn index(&self, of: &HypotheticalValve) -> f64 {
         let [s, j] = of.bands;
         let mut fits = CandidateFitter::new(&self.normalised, Law::He, self.class, &of.target, self.sign);
         let effort = Effort::of(STEPS);

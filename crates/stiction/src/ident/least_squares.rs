@@ -3,11 +3,11 @@
 use crate::signal::stats::{dot, dot3, sum};
 
 /// Most columns that a system here has, right-hand side included.
-pub const MAX: usize = 16;
+pub(crate) const MAX: usize = 16;
 
 /// A symmetric system of up to [`MAX`] columns; only the upper triangle is kept.
 #[derive(Debug, Clone)]
-pub struct Gram {
+pub(crate) struct Gram {
     /// Columns in use.
     pub n: usize,
     m: [[f64; MAX]; MAX],
@@ -17,7 +17,7 @@ pub struct Gram {
 impl Gram {
     /// Inner products of all columns (equal length, at most [`MAX`]; more are ignored).
     #[must_use]
-    pub fn of(columns: &[&[f64]]) -> Self {
+    pub(crate) fn of(columns: &[&[f64]]) -> Self {
         let n = columns.len().min(MAX);
         let mut m = [[0.0; MAX]; MAX];
         for i in 0..n {
@@ -36,7 +36,7 @@ impl Gram {
 
     /// Inner products of each of `left` with those of `right` from its own place on: `right` under weights.
     #[must_use]
-    pub fn of_weighted(left: &[&[f64]], right: &[&[f64]]) -> Self {
+    pub(crate) fn of_weighted(left: &[&[f64]], right: &[&[f64]]) -> Self {
         let n = left.len().min(right.len()).min(MAX);
         let mut m = [[0.0; MAX]; MAX];
         for (i, (row, own)) in m.iter_mut().zip(left).take(n).enumerate() {
@@ -55,7 +55,7 @@ impl Gram {
     /// As [`Gram::of`] with a constant column of `count` times `level` in front, sums in place of its products. A
     /// column that is shorter than `count` is 0 from its end on.
     #[must_use]
-    pub fn with_constant(level: f64, count: usize, columns: &[&[f64]]) -> Self {
+    pub(crate) fn with_constant(level: f64, count: usize, columns: &[&[f64]]) -> Self {
         let n = columns.len().min(MAX - 1) + 1;
         let mut m = [[0.0; MAX]; MAX];
         m[0][0] = level * level * count as f64;
@@ -81,7 +81,7 @@ impl Gram {
     }
 
     /// Appends a column whose products with the others and with itself are known (left out when there is no room).
-    pub fn append(&mut self, products: &[f64], square: f64) {
+    pub(crate) fn append(&mut self, products: &[f64], square: f64) {
         if self.n < MAX {
             for (row, product) in self.m.iter_mut().zip(&products[..products.len().min(self.n)]) {
                 row[self.n] = *product;
@@ -93,12 +93,12 @@ impl Gram {
 
     /// Entry (row, column), row <= column; after elimination that of the Schur complement.
     #[must_use]
-    pub fn at(&self, row: usize, column: usize) -> f64 {
+    pub(crate) fn at(&self, row: usize, column: usize) -> f64 {
         self.m[row][column]
     }
 
     /// Eliminates the first `count` columns; one that depends on those before it is left out.
-    pub fn eliminate(&mut self, count: usize) {
+    pub(crate) fn eliminate(&mut self, count: usize) {
         let scale: [f64; MAX] = core::array::from_fn(|i| self.m[i][i]);
         #[allow(clippy::needless_range_loop)] // rows and columns of one array
         for p in 0..count {
@@ -120,7 +120,7 @@ impl Gram {
     /// Coefficients of the first `count` (eliminated) columns that fit the last column, given those of the columns
     /// between as `known` (from column `count` on). Left-out columns get 0.
     #[must_use]
-    pub fn back(&self, count: usize, known: &[f64]) -> [f64; MAX] {
+    pub(crate) fn back(&self, count: usize, known: &[f64]) -> [f64; MAX] {
         let mut x = [0.0; MAX];
         for (k, value) in known.iter().enumerate() {
             x[count + k] = *value;

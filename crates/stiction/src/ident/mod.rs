@@ -14,7 +14,7 @@ pub(crate) mod fit;
 pub mod fit_plots;
 pub mod free_run;
 mod frictionless;
-pub mod hypothetical;
+pub(crate) mod hypothetical;
 pub(crate) mod least_squares;
 pub(crate) mod normalise;
 pub mod one_step;

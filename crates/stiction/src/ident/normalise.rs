@@ -18,7 +18,7 @@ fn on_grid(x: f64) -> f64 {
 const FINEST: f64 = 3.0;
 
 /// The record in normalised form.
-pub fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) -> NormalisedRecord {
+pub(crate) fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) -> NormalisedRecord {
     let (n, m) = (record.len(), record.path_per_point());
     let middle = stats::mean(&record.op_path);
     let path: Vec<f64> = record.op_path.iter().map(|u| on_grid((u - middle) / span)).collect();

@@ -71,7 +71,7 @@ pub const STRENGTHS: [f64; 2] = [0.2, 0.6];
 ///
 /// `none` below a tenth of OP's span; `deadband` below j/s = 0.15; `stick_slip` above 0.85.
 #[must_use]
-pub fn region(s: f64, j: f64, span: f64) -> Region {
+pub(crate) fn region(s: f64, j: f64, span: f64) -> Region {
     if s < BOUNDS[0] * span || s <= 0.0 {
         Region::None
     } else if j / s < BOUNDS[1] {
@@ -85,7 +85,7 @@ pub fn region(s: f64, j: f64, span: f64) -> Region {
 
 /// How strong against the loop's own movement: by s over OP's span, 0.2 and 0.6.
 #[must_use]
-pub fn strength_by_span(s: f64, span: f64) -> Size {
+pub(crate) fn strength_by_span(s: f64, span: f64) -> Size {
     if s > STRENGTHS[1] * span {
         Size::Strong
     } else if s >= STRENGTHS[0] * span {
@@ -97,7 +97,7 @@ pub fn strength_by_span(s: f64, span: f64) -> Size {
 
 /// How severe against the valve's travel, % of OP's range: 0.5, 1 and 2 %; `None` for a range without width.
 #[must_use]
-pub fn severity_by_range(s: f64, range: [f64; 2]) -> Option<Size> {
+pub(crate) fn severity_by_range(s: f64, range: [f64; 2]) -> Option<Size> {
     let width = (range[1] - range[0]).abs();
     if width.is_nan() || width <= 0.0 {
         return None;

@@ -7,7 +7,7 @@ use crate::signal::stats;
 /// Lags looked at.
 const LAGS: usize = 20;
 /// Portmanteau statistic of [`LAGS`] lags beyond which a residual is not white: chi-squared, 20 degrees, 0.1 %.
-pub const PORTMANTEAU: f64 = 45.3;
+pub(crate) const PORTMANTEAU: f64 = 45.3;
 /// Lag-1 autocorrelation beyond which it is not, however short the record.
 const FIRST_LAG: f64 = 0.12;
 /// Largest normalised cross-correlation of noise with OP and its moves, in standard errors: 40 draws, some 1 %.
@@ -35,7 +35,7 @@ pub struct Whiteness {
 impl Whiteness {
     /// Whether nothing is left but noise.
     #[must_use]
-    pub const fn is_noise(&self) -> bool {
+    pub(crate) const fn is_noise(&self) -> bool {
         self.white && !self.follows_op
     }
 }
@@ -45,7 +45,7 @@ impl Whiteness {
 /// Only OP before the residual counts: the noise at a point goes into OP from that point on, so correlations at other
 /// lags tell of the controller.
 #[must_use]
-pub fn whiteness(residual: &[f64], op: &[f64]) -> Whiteness {
+pub(crate) fn whiteness(residual: &[f64], op: &[f64]) -> Whiteness {
     let n = residual.len().min(op.len());
     let level = stats::mean(&residual[..n]);
     let e: Vec<f64> = residual[..n].iter().map(|x| x - level).collect();

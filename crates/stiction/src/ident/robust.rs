@@ -4,13 +4,13 @@ use super::least_squares::Gram;
 use crate::signal::stats;
 
 /// Most columns that are regressed on, the constant not counted.
-pub const MAX_COLUMNS: usize = 4;
+pub(crate) const MAX_COLUMNS: usize = 4;
 /// Rounds of weighing.
 const ROUNDS: usize = 3;
 
 /// What a regression found.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Regression {
+pub(crate) struct Regression {
     /// Coefficients of the columns, then the constant.
     pub coefficients: [f64; MAX_COLUMNS + 1],
     /// Share of the weighted variance explained.
@@ -19,7 +19,7 @@ pub struct Regression {
 
 /// Regresses, with memory that is used again.
 #[derive(Debug, Clone, Default)]
-pub struct Regressor {
+pub(crate) struct Regressor {
     weights: Vec<f64>,
     ones: Vec<f64>,
     weighted: [Vec<f64>; MAX_COLUMNS + 1],
@@ -32,7 +32,7 @@ impl Regressor {
     /// Regresses `y` on up to [`MAX_COLUMNS`] `columns` of its length and a constant: three rounds in which a residual `r`
     /// gets the weight `1/sqrt(1 + (r / 3 sigma)^2)`, sigma from the median absolute deviation. Samples outside `used` have
     /// no say. `None` where `y` does not move.
-    pub fn regress(&mut self, y: &[f64], columns: &[&[f64]], used: Option<&[bool]>) -> Option<Regression> {
+    pub(crate) fn regress(&mut self, y: &[f64], columns: &[&[f64]], used: Option<&[bool]>) -> Option<Regression> {
         let count = columns.len().min(MAX_COLUMNS);
         let columns = &columns[..count];
         let base = |k: usize| used.is_none_or(|used| used.get(k).copied().unwrap_or(false));
@@ -52,7 +52,7 @@ impl Regressor {
 
     /// What the last regression left of its `y`.
     #[must_use]
-    pub fn left(&self) -> &[f64] {
+    pub(crate) fn left(&self) -> &[f64] {
         &self.left
     }
 

@@ -18,7 +18,7 @@ const CLEARER: f64 = 0.02;
 /// Regresses the moves of OP on the moves and the value of -PV (a PI controller in velocity form) by three rounds of
 /// reweighted least squares, for OP and PV smoothed over 1, 3 or 7 points and PV up to a point earlier.
 #[must_use]
-pub fn of_gain(op: &[f64], pv: &[f64]) -> Option<f64> {
+pub(crate) fn of_gain(op: &[f64], pv: &[f64]) -> Option<f64> {
     decided(best_of(op, pv, None)?)
 }
 

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::residual::Whiteness;
 
 /// The likelihood's intervals and what qualifies them. Sizes in one unit: spans of OP, or OP units after
-/// [`Spread::scaled`].
+/// `Spread::scaled`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Stick band plus dead band.
@@ -161,7 +161,7 @@ impl Intervals {
 impl Spread {
     /// The same in another unit.
     #[must_use]
-    pub fn scaled(self, by: f64) -> Self {
+    pub(crate) fn scaled(self, by: f64) -> Self {
         let scale = |x: [f64; 2]| x.map(|v| v * by);
         Self {
             s: scale(self.s),
@@ -175,7 +175,7 @@ impl Spread {
 
     /// Covers another explanation too, which the likelihood cannot tell from this one.
     #[must_use]
-    pub const fn or(self, other: &Self) -> Self {
+    pub(crate) const fn or(self, other: &Self) -> Self {
         Self {
             s: hull(self.s, other.s),
             j: hull(self.j, other.j),
@@ -251,7 +251,7 @@ impl Settings {
 
     /// The least widths of a class.
     #[must_use]
-    pub const fn of(&self, trust: Trust) -> &Floor {
+    pub(crate) const fn of(&self, trust: Trust) -> &Floor {
         match trust {
             Trust::White => &self.white,
             Trust::Gridded => &self.gridded,
@@ -308,7 +308,7 @@ impl Settings {
 }
 
 /// The smallest interval around two.
-pub const fn hull(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+pub(crate) const fn hull(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [a[0].min(b[0]), a[1].max(b[1])]
 }
 

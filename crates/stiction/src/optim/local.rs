@@ -29,7 +29,7 @@ pub(super) fn compass(meter: &mut Meter<'_>, mut point: [f64; 2], mut cost: f64,
 
 /// The nearest point with `0 <= j <= s <= 1`, s first.
 #[must_use]
-pub fn on_triangle(point: [f64; 2]) -> [f64; 2] {
+pub(crate) fn on_triangle(point: [f64; 2]) -> [f64; 2] {
     let s = point[0].clamp(0.0, 1.0);
     [s, point[1].clamp(0.0, s)]
 }

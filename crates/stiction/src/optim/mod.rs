@@ -7,7 +7,7 @@
 mod branch_bound;
 mod contour;
 mod draw;
-pub mod local;
+pub(crate) mod local;
 mod multistart;
 mod random;
 

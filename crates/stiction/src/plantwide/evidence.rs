@@ -125,7 +125,7 @@ pub(super) struct Evidence {
 
 impl Evidence {
     /// What the figures are.
-    pub const NAMES: [&str; 17] = [
+    pub(crate) const NAMES: [&str; 17] = [
         "own_logit",
         "likelihood",
         "confirmed",

@@ -25,7 +25,7 @@ pub fn remove_line(x: &[f64]) -> Vec<f64> {
 
 /// Centred moving average over `width` points (made odd), with the end values repeated; same length as `x`.
 #[must_use]
-pub fn moving_average(x: &[f64], width: usize) -> Vec<f64> {
+pub(crate) fn moving_average(x: &[f64], width: usize) -> Vec<f64> {
     let half = width / 2;
     if half == 0 || x.is_empty() {
         return x.to_vec();
@@ -46,13 +46,13 @@ pub fn moving_average(x: &[f64], width: usize) -> Vec<f64> {
 
 /// `x` minus its centred moving average over `width` points: removes components slower than about two widths.
 #[must_use]
-pub fn high_pass(x: &[f64], width: usize) -> Vec<f64> {
+pub(crate) fn high_pass(x: &[f64], width: usize) -> Vec<f64> {
     moving_average(x, width).iter().zip(x).map(|(slow, v)| v - slow).collect()
 }
 
 /// `x` smoothed by a Hann window about `width` points wide, with the end values repeated; same length as `x`.
 #[must_use]
-pub fn hann_smooth(x: &[f64], width: usize) -> Vec<f64> {
+pub(crate) fn hann_smooth(x: &[f64], width: usize) -> Vec<f64> {
     if width < 2 || x.is_empty() {
         return x.to_vec();
     }

@@ -9,7 +9,7 @@ const GRID: usize = 4;
 /// Bins of `ratio` raw samples (any number above 1).
 ///
 /// PV, SP and MV become means over each bin. OP keeps all its values, because the valve model must run on OP as recorded; the
-/// model's output is then averaged over the same bins. For a fractional `ratio`, signals are held on a grid of [`GRID`] steps
+/// model's output is then averaged over the same bins. For a fractional `ratio`, signals are held on a grid of `GRID` steps
 /// per sample, the bin counts as the nearest integer number of samples, and [`Record::ts_s`] is the time of such a sample. PV
 /// is then shifted so that the delay between OP and its first response is an integer number of them.
 ///

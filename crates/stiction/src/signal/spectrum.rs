@@ -15,7 +15,7 @@ pub fn autocorrelation(x: &[f64], max_lag: usize) -> Vec<f64> {
 /// The same for two signals in one transform (Cooley and Tukey 1965). It is bit-identical on every machine: its twiddle factors
 /// are computed here and its sums have a fixed order.
 #[must_use]
-pub fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
+pub(crate) fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
     let longest = x[0].len().max(x[1].len());
     let lags = max_lag.min(longest.saturating_sub(1)) + 1;
     // Behind the signals there are as many zeros as there are lags, so that none meets its own beginning.
@@ -31,7 +31,7 @@ pub fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
 /// Power of two signals at the frequencies `k / size` cycles a point, each padded with zeros to `size` (a power of two, at
 /// least the length of both): one transform gives both.
 #[must_use]
-pub fn powers(x: [&[f64]; 2], size: usize) -> [Vec<f64>; 2] {
+pub(crate) fn powers(x: [&[f64]; 2], size: usize) -> [Vec<f64>; 2] {
     let padded = |x: &[f64]| {
         let mut padded = x.to_vec();
         padded.resize(size, 0.0);
@@ -128,7 +128,7 @@ pub fn zero_crossings(x: &[f64], hysteresis: f64) -> Vec<f64> {
 /// A cosine transform (of `x` and its mirror image, so that the ends match) with sharp edges. The cost is the length times
 /// the number of frequencies below the last edge.
 #[must_use]
-pub fn split(x: &[f64], edges: &[f64]) -> Vec<Vec<f64>> {
+pub(crate) fn split(x: &[f64], edges: &[f64]) -> Vec<Vec<f64>> {
     let n = x.len();
     let mut bands = vec![vec![0.0; n]; edges.len()];
     let turn = 4 * n;

@@ -47,7 +47,7 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// Sum in eight running sums.
 #[must_use]
-pub fn sum(x: &[f64]) -> f64 {
+pub(crate) fn sum(x: &[f64]) -> f64 {
     let mut sums = [0.0; 8];
     let (blocks, rest) = x.as_chunks::<8>();
     for block in blocks {
@@ -61,7 +61,7 @@ pub fn sum(x: &[f64]) -> f64 {
 
 /// Inner products of `a` with three others at once, in four running sums each; all of the length of `a` or longer.
 #[must_use]
-pub fn dot3(a: &[f64], b: [&[f64]; 3]) -> [f64; 3] {
+pub(crate) fn dot3(a: &[f64], b: [&[f64]; 3]) -> [f64; 3] {
     let n = b.iter().fold(a.len(), |n, x| n.min(x.len()));
     let (blocks_a, rest_a) = a[..n].as_chunks::<4>();
     let [(b0, r0), (b1, r1), (b2, r2)] = b.map(|x| x[..n].as_chunks::<4>());
@@ -80,7 +80,7 @@ pub fn dot3(a: &[f64], b: [&[f64]; 3]) -> [f64; 3] {
 
 /// Quantile `q` (0..1) of sorted values, linear between neighbours (Hyndman and Fan's type 7); 0 for an empty slice.
 #[must_use]
-pub fn quantile_sorted(sorted: &[f64], q: f64) -> f64 {
+pub(crate) fn quantile_sorted(sorted: &[f64], q: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return 0.0 };
     let place = q.clamp(0.0, 1.0) * last as f64;
     let below = place.floor() as usize;
@@ -96,7 +96,7 @@ pub fn sorted(x: &[f64]) -> Vec<f64> {
     copy
 }
 
-/// Quantile `q` (0..1) of unsorted values, as [`quantile_sorted`].
+/// Quantile `q` (0..1) of unsorted values, as `quantile_sorted`.
 #[must_use]
 pub fn quantile(x: &[f64], q: f64) -> f64 {
     let Some(last) = x.len().checked_sub(1) else { return 0.0 };
@@ -111,7 +111,7 @@ pub fn quantile(x: &[f64], q: f64) -> f64 {
 ///
 /// Values at regular distances bracket it, and only values within the bracket are sorted.
 #[must_use]
-pub fn nth(x: &[f64], place: usize, work: &mut Vec<f64>) -> f64 {
+pub(crate) fn nth(x: &[f64], place: usize, work: &mut Vec<f64>) -> f64 {
     const SAMPLE: usize = 64;
     const TO_EITHER_SIDE: usize = 8;
     work.clear();
@@ -169,7 +169,7 @@ pub fn noise_sd(x: &[f64]) -> f64 {
 }
 
 /// `x[k + 1] - 2 x[k] + x[k - 1]`, units of `x`; for white noise sqrt(6) times its standard deviation.
-pub fn second_differences(x: &[f64]) -> impl Iterator<Item = f64> {
+pub(crate) fn second_differences(x: &[f64]) -> impl Iterator<Item = f64> {
     x.windows(3).map(|w| w[2] - 2.0 * w[1] + w[0])
 }
 
@@ -177,7 +177,7 @@ pub fn second_differences(x: &[f64]) -> impl Iterator<Item = f64> {
 /// dropped until none is left, starting from the median's. It varies a quarter less between records than 1.4826 MAD, and is
 /// less affected by rare outliers. 0 if the MAD is 0.
 #[must_use]
-pub fn clipped_sd(x: &[f64]) -> f64 {
+pub(crate) fn clipped_sd(x: &[f64]) -> f64 {
     const ROUNDS: usize = 10;
     let mut sd = 1.4826 * mad(x);
     for _ in 0..ROUNDS {
@@ -193,14 +193,14 @@ pub fn clipped_sd(x: &[f64]) -> f64 {
 
 /// Share of values equal to their predecessor, 0..1.
 #[must_use]
-pub fn repeat_share(x: &[f64]) -> f64 {
+pub(crate) fn repeat_share(x: &[f64]) -> f64 {
     let pairs = x.len().saturating_sub(1).max(1);
     x.windows(2).filter(|w| w[0] == w[1]).count() as f64 / pairs as f64
 }
 
 /// Number of different values, up to `limit`.
 #[must_use]
-pub fn levels(x: &[f64], limit: usize) -> usize {
+pub(crate) fn levels(x: &[f64], limit: usize) -> usize {
     // Most signals show many values soon.
     let soon = x.len().min(limit.saturating_mul(2));
     let count = different(&x[..soon], limit);
@@ -216,7 +216,7 @@ fn different(x: &[f64], limit: usize) -> usize {
 
 /// Autocorrelation of a zero-mean signal at lag one, -1..1; 0 for an empty slice.
 #[must_use]
-pub fn autocorrelation_1(x: &[f64]) -> f64 {
+pub(crate) fn autocorrelation_1(x: &[f64]) -> f64 {
     let whole = dot(x, x);
     if whole > 0.0 { x.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / whole } else { 0.0 }
 }

@@ -33,7 +33,7 @@ impl Around {
 
     /// The actuator's positions in the parts of a value for which OP is held, and its position at the end.
     #[must_use]
-    pub fn drives(&self, drive: f64, op: f64) -> ([f64; PARTS], f64) {
+    pub(crate) fn drives(&self, drive: f64, op: f64) -> ([f64; PARTS], f64) {
         let step = 1.0 / (self.pilot * PARTS as f64).max(1e-3);
         let after = |parts: f64| op + (drive - op) * libm::exp(-step * parts);
         (core::array::from_fn(|i| after(i as f64 + 0.5)), after(PARTS as f64))
@@ -41,7 +41,7 @@ impl Around {
 
     /// The flow for a stem at `position`, with the state of the parts behind it.
     #[must_use]
-    pub fn flow(&self, position: f64, [slow, far]: &mut [f64; 2]) -> f64 {
+    pub(crate) fn flow(&self, position: f64, [slow, far]: &mut [f64; 2]) -> f64 {
         *slow = if self.rate < f64::INFINITY { rate_step(*slow, position, self.rate) } else { position };
         let open = stop_step(*slow, self.stops);
         *far = if self.play > 0.0 { play_step(*far, open, self.play) } else { open };
@@ -63,25 +63,25 @@ impl Default for Around {
 
 /// A characteristic at `v` whose slope is 1 at 0 and grows by the share `bend` per unit.
 #[must_use]
-pub fn bent(v: f64, bend: f64) -> f64 {
+pub(crate) fn bent(v: f64, bend: f64) -> f64 {
     if bend == 0.0 { v } else { libm::expm1(bend * v) / bend }
 }
 
 /// Backlash of `width` behind the stem: the output rests until the stem has crossed it.
 #[must_use]
-pub fn play_step(far: f64, stem: f64, width: f64) -> f64 {
+pub(crate) fn play_step(far: f64, stem: f64, width: f64) -> f64 {
     far.clamp(stem - 0.5 * width, stem + 0.5 * width)
 }
 
 /// A stem that follows `wanted` by at most `rate` per step.
 #[must_use]
-pub fn rate_step(stem: f64, wanted: f64, rate: f64) -> f64 {
+pub(crate) fn rate_step(stem: f64, wanted: f64, rate: f64) -> f64 {
     stem + (wanted - stem).clamp(-rate, rate)
 }
 
 /// A stem between a lower and an upper stop, `stops[0] <= stops[1]`.
 #[must_use]
-pub fn stop_step(stem: f64, stops: [f64; 2]) -> f64 {
+pub(crate) fn stop_step(stem: f64, stops: [f64; 2]) -> f64 {
     stem.clamp(stops[0], stops[1])
 }
 
@@ -89,7 +89,7 @@ pub fn stop_step(stem: f64, stops: [f64; 2]) -> f64 {
 ///
 /// The lag advances between two raw samples while OP is held, so a slip may occur anywhere between them: each part has the
 /// exact value at its middle.
-pub fn lag_path(op: &[f64], per_point: usize, tau: f64, path: &mut Vec<f64>) -> usize {
+pub(crate) fn lag_path(op: &[f64], per_point: usize, tau: f64, path: &mut Vec<f64>) -> usize {
     let parts = PARTS.div_ceil(per_point);
     let step = 1.0 / (tau * (per_point * parts) as f64).max(1e-3);
     let (whole, half) = (libm::exp(-step), libm::exp(-0.5 * step));

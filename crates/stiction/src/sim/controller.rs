@@ -34,7 +34,7 @@ pub struct PidSettings {
 }
 
 /// The derivative's filter has the time constant `td_s / DERIVATIVE_LIMIT`.
-pub const DERIVATIVE_LIMIT: f64 = 10.0;
+pub(crate) const DERIVATIVE_LIMIT: f64 = 10.0;
 
 /// A controller with its state.
 #[derive(Debug, Clone)]

@@ -118,7 +118,7 @@ impl Friction {
     }
 
     /// Moves `stem` over one scan with OP held at `op`; returns its mean position, which is the input of the process.
-    pub fn step(&self, stem: &mut FrictionState, op: f64) -> f64 {
+    pub(crate) fn step(&self, stem: &mut FrictionState, op: f64) -> f64 {
         let dt = 1.0 / SUB_STEPS as f64;
         let share = if self.lag > 0.0 { 1.0 - libm::exp(-dt / self.lag) } else { 1.0 };
         let mut sum = 0.0;

@@ -107,12 +107,12 @@ pub struct RandomWalk {
 impl RandomWalk {
     /// A walk whose steps have the standard deviation `sd_per_sample`.
     #[must_use]
-    pub fn new(sd_per_sample: f64, noise: Noise) -> Self {
+    pub(crate) fn new(sd_per_sample: f64, noise: Noise) -> Self {
         Self { sd_per_sample, value: 0.0, noise }
     }
 
     /// The value of this sample; advances by one.
-    pub fn next_value(&mut self) -> f64 {
+    pub(crate) fn next_value(&mut self) -> f64 {
         let now = self.value;
         self.value += self.sd_per_sample * self.noise.gaussian();
         now

@@ -52,7 +52,7 @@ impl Pole {
 
 /// Two recursions, each with its own lag, input and start as in [`Pole::run`] and equal to it but for rounding,
 /// several times as fast. `v` are of equal length, `out` are set to it.
-pub fn run_pair(poles: [Pole; 2], lags: [usize; 2], v: [&[f64]; 2], x0: [f64; 2], out: [&mut Vec<f64>; 2]) {
+pub(crate) fn run_pair(poles: [Pole; 2], lags: [usize; 2], v: [&[f64]; 2], x0: [f64; 2], out: [&mut Vec<f64>; 2]) {
     let n = v[0].len().min(v[1].len());
     let [first, second] = out;
     first.resize(n, 0.0);
@@ -69,7 +69,7 @@ pub fn run_pair(poles: [Pole; 2], lags: [usize; 2], v: [&[f64]; 2], x0: [f64; 2]
 }
 
 /// As [`run_pair`] for one recursion.
-pub fn run_one(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut Vec<f64>) {
+pub(crate) fn run_one(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut Vec<f64>) {
     out.resize(v.len(), 0.0);
     if !v.is_empty() {
         let state = head(pole, lag, v, x0, out);
@@ -121,14 +121,14 @@ fn tails<const N: usize>(poles: [Pole; N], v: [&[f64]; N], mut x: [f64; N], from
 
 /// Weights of two unit lags in parallel that equal the same two in series: `w1 x1 + w2 x2`, `tau1 != tau2`.
 #[must_use]
-pub fn series_weights(tau1: f64, tau2: f64) -> (f64, f64) {
+pub(crate) fn series_weights(tau1: f64, tau2: f64) -> (f64, f64) {
     (tau1 / (tau1 - tau2), -tau2 / (tau1 - tau2))
 }
 
 /// Two time constants that [`series_weights`] can use: (nearly) equal ones are separated by 0.05 % around their mean, which
 /// changes their response by less than 1e-7 of its size.
 #[must_use]
-pub fn separated(tau1: f64, tau2: f64) -> (f64, f64) {
+pub(crate) fn separated(tau1: f64, tau2: f64) -> (f64, f64) {
     let mean = 0.5 * (tau1 + tau2);
     if (tau1 - tau2).abs() >= 1e-3 * mean { (tau1, tau2) } else { (mean * 1.0005, mean * 0.9995) }
 }
@@ -151,7 +151,7 @@ pub struct ProcessModel {
 /// A process model with its state, advanced sample by sample.
 ///
 /// Every model is a sum of poles with the same two taps (partial fractions), so each is exact for a held input: two lags by
-/// [`series_weights`], a lag before an integrator as `1/s - tau/(tau s + 1)`.
+/// `series_weights`, a lag before an integrator as `1/s - tau/(tau s + 1)`.
 #[derive(Debug, Clone)]
 pub struct ProcessState {
     model: ProcessModel,

@@ -91,7 +91,7 @@ impl Stroke {
 impl Stroke {
     /// Whether there are no additional properties.
     #[must_use]
-    pub fn is_plain(&self) -> bool {
+    pub(crate) fn is_plain(&self) -> bool {
         *self == Self::FREE
     }
 }
@@ -172,7 +172,7 @@ impl Stem {
 
     /// A stem that rests at `position` with bands `[fs, fd]`, to be taken on value by value, a point each.
     #[must_use]
-    pub fn resting(position: f64, [fs, fd]: [f64; 2], stroke: Stroke) -> Self {
+    pub(crate) fn resting(position: f64, [fs, fd]: [f64; 2], stroke: Stroke) -> Self {
         let uneven = Uneven { uneven: stroke.uneven, j: fs - fd };
         let mut stem = Self::new(FirstSlip { direction: 1.0, threshold: position }, fs + fd, uneven, stroke, 1);
         stem.direction = 1.0;
@@ -183,51 +183,51 @@ impl Stem {
 
     /// Before the first slip, with bands `[s, j]` and `per_point` OP values a point.
     #[must_use]
-    pub fn before(first: FirstSlip, [s, j]: [f64; 2], stroke: Stroke, per_point: usize) -> Self {
+    pub(crate) fn before(first: FirstSlip, [s, j]: [f64; 2], stroke: Stroke, per_point: usize) -> Self {
         Self::new(first, s, Uneven { uneven: stroke.uneven, j }, stroke, per_point)
     }
 
     /// Takes the next OP value with bands `[s, j]`.
     #[inline]
-    pub fn meet(&mut self, law: Law, op: f64, [s, j]: [f64; 2], stroke: Stroke) {
+    pub(crate) fn meet(&mut self, law: Law, op: f64, [s, j]: [f64; 2], stroke: Stroke) {
         self.take(law, op, s, j, Uneven { uneven: stroke.uneven, j });
     }
 
     /// Level and direction of the stem, `level - fd (direction + uneven)`, averaged since the OP value before.
     #[inline]
     #[must_use]
-    pub fn signal(&self) -> (f64, f64) {
+    pub(crate) fn signal(&self) -> (f64, f64) {
         (self.at - self.behind, self.direction)
     }
 
     /// Moves so far.
     #[inline]
     #[must_use]
-    pub const fn slips(&self) -> usize {
+    pub(crate) const fn slips(&self) -> usize {
         self.slips
     }
 
     /// Moves so far against the move before.
     #[must_use]
-    pub const fn reversals(&self) -> usize {
+    pub(crate) const fn reversals(&self) -> usize {
         self.reversals
     }
 
     /// Whether the next OP value may move it without a slip.
     #[inline]
     #[must_use]
-    pub const fn is_moving(&self) -> bool {
+    pub(crate) const fn is_moving(&self) -> bool {
         self.moving
     }
 
     /// Values of s, then of j, that give the same moves so far.
     #[must_use]
-    pub const fn cells(&self) -> [[f64; 2]; 2] {
+    pub(crate) const fn cells(&self) -> [[f64; 2]; 2] {
         [self.s_cell, self.j_cell]
     }
 
     /// Takes the next OP value with bands `[fs, fd]` and answers the mean position until the next one.
-    pub fn follow(&mut self, law: Law, op: f64, [fs, fd]: [f64; 2], uneven: f64) -> f64 {
+    pub(crate) fn follow(&mut self, law: Law, op: f64, [fs, fd]: [f64; 2], uneven: f64) -> f64 {
         self.take(law, op, fs + fd, fs - fd, Uneven { uneven, j: fs - fd });
         self.at - self.behind - fd * (self.direction + uneven)
     }
@@ -272,7 +272,7 @@ impl Stem {
 
     /// As above for values of which only the least and the greatest are told.
     #[inline]
-    pub fn rests_between(&mut self, [low, high]: [f64; 2], [s, j]: [f64; 2]) -> bool {
+    pub(crate) fn rests_between(&mut self, [low, high]: [f64; 2], [s, j]: [f64; 2]) -> bool {
         if self.moving {
             return false;
         }
@@ -389,7 +389,7 @@ impl Sequence {
     }
 
     /// As [`Sequence::run`] for bands `[s, j]` and a stroke. The stem stands at `at - fd (direction + uneven)`.
-    pub fn run_in(
+    pub(crate) fn run_in(
         &mut self,
         stroke: Stroke,
         law: Law,

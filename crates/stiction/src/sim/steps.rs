@@ -41,7 +41,7 @@ impl Path {
 
     /// OP values per point.
     #[must_use]
-    pub const fn per_point(&self) -> usize {
+    pub(crate) const fn per_point(&self) -> usize {
         self.per_point
     }
 
@@ -182,7 +182,7 @@ impl Steps {
 
     /// The steps of a signal that is given point by point, `direction` of the same length or empty; cells and counts are
     /// left as they are.
-    pub fn of_signal(&mut self, level: &[f64], direction: &[f64]) {
+    pub(crate) fn of_signal(&mut self, level: &[f64], direction: &[f64]) {
         self.list.clear();
         for k in 1..level.len() {
             let turn = if direction.is_empty() { 0.0 } else { direction[k] - direction[k - 1] };

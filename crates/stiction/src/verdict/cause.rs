@@ -45,7 +45,7 @@ const FITS: f64 = 0.2;
 
 /// What rings and what is forced in a record that oscillates: in PV, or in the error where the set point moves.
 #[must_use]
-pub fn ringing(record: &Record, oscillation: Option<&Oscillates>) -> Option<Ringing> {
+pub(crate) fn ringing(record: &Record, oscillation: Option<&Oscillates>) -> Option<Ringing> {
     let period = oscillation?.period_points;
     let moves = |sp: &&Vec<f64>| sp.len() == record.len() && sp.windows(2).any(|w| w[0] != w[1]);
     match record.sp.as_ref().filter(moves) {
@@ -57,7 +57,7 @@ pub fn ringing(record: &Record, oscillation: Option<&Oscillates>) -> Option<Ring
 /// The word for a loop whose valve does not stick, and what contributes. `damping` is that of the linear loop, where the
 /// record shows it.
 #[must_use]
-pub fn cause(
+pub(crate) fn cause(
     oscillation: Option<&Oscillates>,
     ringing: Option<&Ringing>,
     damping: Option<f64>,
@@ -90,7 +90,7 @@ fn by_ringing(r: &Ringing, calm: bool) -> Verdict {
 /// Damping of the linear loop of the process that was fitted and the controller that was read, where the set point
 /// moves: without that the fit of a loop without friction is drawn to the limit (see [`ringing`]).
 #[must_use]
-pub fn moved_damping(estimate: Option<&Estimate>, controller: Option<&Reading>, record: &Record) -> Option<f64> {
+pub(crate) fn moved_damping(estimate: Option<&Estimate>, controller: Option<&Reading>, record: &Record) -> Option<f64> {
     let spread = record.sp.as_deref().map_or(0.0, stats::std_dev);
     let moved = spread > MOVED * stats::std_dev(&record.pv);
     linear_damping(estimate.filter(|_| moved)?, controller?, record)
@@ -99,7 +99,7 @@ pub fn moved_damping(estimate: Option<&Estimate>, controller: Option<&Reading>, 
 /// What contributes where the valve sticks: a loop that would hardly settle with a healthy valve either, and an
 /// oscillation of another frequency.
 #[must_use]
-pub fn beside_sticking(
+pub(crate) fn beside_sticking(
     estimate: &Estimate,
     controller: Option<&Reading>,
     record: &Record,

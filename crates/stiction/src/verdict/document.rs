@@ -129,7 +129,7 @@ impl Gate {
 
     /// Whether the check prevents any answer.
     #[must_use]
-    pub const fn blocks(self) -> bool {
+    pub(crate) const fn blocks(self) -> bool {
         matches!(
             self,
             Self::Manual
@@ -209,7 +209,7 @@ pub enum Implausible {
 impl Implausible {
     /// Its word in documents.
     #[must_use]
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::DailyCycle => "daily_cycle",
             Self::Trend => "trend",
@@ -223,7 +223,7 @@ impl Implausible {
 
     /// Whether the record shows no cycle of a valve, rather than the model being wrong.
     #[must_use]
-    pub const fn is_of_the_record(self) -> bool {
+    pub(crate) const fn is_of_the_record(self) -> bool {
         matches!(self, Self::DailyCycle | Self::Trend)
     }
 }

@@ -20,7 +20,7 @@ const FOLLOWS: f64 = 0.2;
 /// The points of the longest part of a record without an excursion of PV or OP; `None` if there is no excursion, or it cannot
 /// be removed.
 #[must_use]
-pub fn without(record: &Record) -> Option<[usize; 2]> {
+pub(crate) fn without(record: &Record) -> Option<[usize; 2]> {
     let n = record.len();
     let moved = record.sp.as_deref().map_or(0.0, stats::std_dev);
     if moved > FOLLOWS * stats::std_dev(&record.pv) {

@@ -27,7 +27,7 @@ const IRREGULAR: f64 = 0.1;
 
 /// All validity checks that apply to the record, in the order of [`Gate::ALL`].
 #[must_use]
-pub fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) -> Vec<Gate> {
+pub(crate) fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) -> Vec<Gate> {
     let op = record.op();
     let raw = record.raw_samples.max(1) as f64;
     let facts = &record.facts;

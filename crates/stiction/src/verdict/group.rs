@@ -25,7 +25,7 @@ impl MemberJudgement {
 
 impl Assessment {
     /// Probability from which a valve is called sticking.
-    pub(crate) fn called_at(&self) -> f64 {
+    pub fn called_at(&self) -> f64 {
         self.explanation.map_or(0.5, |opinion| opinion.cuts.called)
     }
 }

@@ -8,7 +8,7 @@ use crate::ident::region;
 /// The verdict on a window without a blocking check, and contributing causes; `otherwise` is called if the valve does not
 /// stick, `beside` if it does. Without a fit (`estimate` is `None`), a valve that appears to stick stays inconclusive.
 #[must_use]
-pub fn judge(
+pub(crate) fn judge(
     estimate: Option<&Estimate>,
     opinion: &Opinion,
     otherwise: impl FnOnce() -> (Verdict, Vec<Verdict>),
@@ -30,7 +30,7 @@ pub fn judge(
 /// Grade of an answer: A without checks, with a confidence of at least 0.95 and s known to 15 %; B with at least 0.85 and s
 /// known to 30 %; C for any other answer, D for none. `width` is that of the interval of s relative to s.
 #[must_use]
-pub fn grade(confidence: Option<f64>, gated: bool, width: Option<f64>) -> char {
+pub(crate) fn grade(confidence: Option<f64>, gated: bool, width: Option<f64>) -> char {
     let within = |least: f64, widest: f64| confidence.is_some_and(|c| c >= least) && width.is_some_and(|w| w <= widest);
     match confidence {
         None => 'D',

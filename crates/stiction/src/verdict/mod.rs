@@ -11,7 +11,7 @@ mod gates;
 mod group;
 mod judge;
 mod params;
-pub mod plausible;
+pub(crate) mod plausible;
 pub mod rule;
 mod screen;
 pub mod swapped;

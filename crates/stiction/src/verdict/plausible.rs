@@ -33,7 +33,7 @@ const fn range(kind: LoopKind, dead_time_s: f64, time_constant_s: f64, integrate
 /// ch. 12, guidelines for common loops; Smith and Corripio, Principles and Practice of Automatic Process Control,
 /// ch. 6). Set about a decade beyond them, so that a damped transmitter, a long impulse line or a slow actuator pass. A
 /// flow of liquid or gas through a valve settles: nothing is stored.
-pub const RANGES: [Range; 6] = [
+pub(crate) const RANGES: [Range; 6] = [
     range(LoopKind::Flow, 60.0, 300.0, false),
     range(LoopKind::Pressure, 120.0, 3_600.0, true),
     range(LoopKind::Level, 600.0, 14_400.0, true),
@@ -45,7 +45,7 @@ pub const RANGES: [Range; 6] = [
 impl Range {
     /// Plausible values for this kind of loop.
     #[must_use]
-    pub fn of(kind: LoopKind) -> Self {
+    pub(crate) fn of(kind: LoopKind) -> Self {
         RANGES.into_iter().find(|r| r.kind == kind).unwrap_or(RANGES[5])
     }
 }
@@ -66,7 +66,7 @@ const TREND: f64 = 0.8;
 
 /// Implausible properties of a record's cycle and model; empty if there are none.
 #[must_use]
-pub fn implausible(
+pub(crate) fn implausible(
     record: &Record,
     oscillation: &Oscillation,
     process: Option<&Process>,

@@ -110,7 +110,7 @@ pub type Features = BTreeMap<String, f64>;
 
 /// What one feature says.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Voice {
+pub(crate) struct Voice {
     /// Its figure.
     pub score: Option<f64>,
     /// Its part of the logit, against its mean; 0 where it is silent or does not count.
@@ -181,7 +181,7 @@ impl Rule {
 
     /// What one feature says.
     #[must_use]
-    pub fn voice(&self, name: &str, features: &Features) -> Voice {
+    pub(crate) fn voice(&self, name: &str, features: &Features) -> Voice {
         let score = features.get(name).copied();
         Voice { score, contribution: score.map_or(0.0, |x| self.mean(|part| part.says(name, x))) }
     }
@@ -203,7 +203,13 @@ impl Rule {
 /// The figures of a fit to `points` points, by name: its index, s over OP's span, the turns of the stem, and how white
 /// what it leaves is.
 #[must_use]
-pub fn of_fit(index: f64, s_over_span: f64, reversals: usize, left: &Whiteness, points: usize) -> [(String, f64); 6] {
+pub(crate) fn of_fit(
+    index: f64,
+    s_over_span: f64,
+    reversals: usize,
+    left: &Whiteness,
+    points: usize,
+) -> [(String, f64); 6] {
     let fit = [
         ("stiction_index", index),
         ("s_over_span", s_over_span),
@@ -231,7 +237,7 @@ pub fn figures(
 
 /// As [`figures`], with another PV than the record's, which `view` was made of too.
 #[must_use]
-pub fn figures_of(
+pub(crate) fn figures_of(
     estimate: Option<&Estimate>,
     record: &Record,
     pv: &[f64],
@@ -289,7 +295,7 @@ pub fn features(mut figures: Features) -> Features {
 const INTERPOLATED: &str = "interpolated";
 
 /// Names of the features that are made of the fit, in the order of documents.
-pub const OF_THE_FIT: [&str; 3] = ["likelihood", "confirmed", "moves"];
+pub(crate) const OF_THE_FIT: [&str; 3] = ["likelihood", "confirmed", "moves"];
 
 #[cfg(test)]
 mod tests {

@@ -74,7 +74,7 @@ fn may_oscillate(of: Option<Oscillates>) -> bool {
 }
 
 /// The assessment of a screened window.
-pub fn answer(out: &mut Assessment) {
+pub(crate) fn answer(out: &mut Assessment) {
     out.verdict = Verdict::NoOscillation;
     out.stiction = out.verdict.stiction();
     out.p_stiction = Some(P_CALM);

@@ -13,7 +13,7 @@ pub const POINTS: usize = 3000;
 
 /// OP is at the set point on average, and PV is far from it. `false` without a set point.
 #[must_use]
-pub fn by_set_point(record: &Record) -> bool {
+pub(crate) fn by_set_point(record: &Record) -> bool {
     let Some(sp) = record.sp.as_deref() else { return false };
     let set_point = stats::mean(sp);
     let distance = |x: &[f64]| (stats::mean(x) - set_point).abs() / stats::std_dev(x);

@@ -11,9 +11,9 @@ use super::student::Student;
 use crate::signal::stats;
 
 /// Orders of A that are tried.
-pub const ORDERS: [usize; 5] = [1, 2, 4, 8, 12];
+pub(crate) const ORDERS: [usize; 5] = [1, 2, 4, 8, 12];
 /// First point whose innovation counts: the lags of the ones before reach beyond the record.
-pub const START: usize = 24;
+pub(crate) const START: usize = 24;
 /// Bins of u, and how many of them reach over a period.
 const BINS: usize = 8;
 const BINS_IN_PERIOD: f64 = 24.0;
@@ -59,20 +59,20 @@ pub struct Fit {
 impl Fit {
     /// Log likelihood, nats.
     #[must_use]
-    pub fn log_likelihood(&self) -> f64 {
+    pub(crate) fn log_likelihood(&self) -> f64 {
         self.student.log_likelihood
     }
 
     /// Order of A.
     #[must_use]
-    pub fn order(&self) -> usize {
+    pub(crate) fn order(&self) -> usize {
         self.a.len() - 1
     }
 }
 
 /// `A(q) x`, x taken as 0 before its first point.
 #[must_use]
-pub fn whitened(a: &[f64], x: &[f64]) -> Vec<f64> {
+pub(crate) fn whitened(a: &[f64], x: &[f64]) -> Vec<f64> {
     let at = |k: usize| a.iter().take(k + 1).enumerate().map(|(i, a)| a * x[k - i]).sum();
     (0..x.len()).map(at).collect()
 }
@@ -108,7 +108,7 @@ fn left(columns: &[Vec<f64>], y: &[f64], coefficients: &[f64]) -> Vec<f64> {
 impl Design {
     /// The design of a series driven by `u` (standard deviations of OP), or by nothing.
     #[must_use]
-    pub fn new(series: &Series, u: Option<&[f64]>) -> Self {
+    pub(crate) fn new(series: &Series, u: Option<&[f64]>) -> Self {
         let width = ((series.period / BINS_IN_PERIOD).round() as usize).max(1);
         let bins = u.map(|u| bins(u, width)).unwrap_or_default();
         Self { y: series.pv.clone(), bins, width, used: vec![true; series.n()] }
@@ -116,19 +116,19 @@ impl Design {
 
     /// The same with other points that count.
     #[must_use]
-    pub fn where_used(&self, used: impl Fn(usize) -> bool) -> Self {
+    pub(crate) fn where_used(&self, used: impl Fn(usize) -> bool) -> Self {
         Self { used: (0..self.y.len()).map(used).collect(), ..self.clone() }
     }
 
     /// The same with another PV.
     #[must_use]
-    pub fn with_pv(&self, y: Vec<f64>) -> Self {
+    pub(crate) fn with_pv(&self, y: Vec<f64>) -> Self {
         Self { y, ..self.clone() }
     }
 
     /// Points that count.
     #[must_use]
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.used.iter().skip(START).filter(|used| **used).count()
     }
 
@@ -142,19 +142,19 @@ impl Design {
 
     /// PV less the effects.
     #[must_use]
-    pub fn less(&self, effects: &[Vec<f64>], beta: &[f64]) -> Vec<f64> {
+    pub(crate) fn less(&self, effects: &[Vec<f64>], beta: &[f64]) -> Vec<f64> {
         left(effects, &self.y, beta)
     }
 
     /// Fits A of an order, B, the constant and the effects, whose A begins from that of `from`.
     #[must_use]
-    pub fn fit(&self, order: usize, effects: &[Vec<f64>], from: Option<&Fit>) -> Option<Fit> {
+    pub(crate) fn fit(&self, order: usize, effects: &[Vec<f64>], from: Option<&Fit>) -> Option<Fit> {
         self.fit_in(order, effects, from, ROUNDS)
     }
 
     /// The same in a number of rounds.
     #[must_use]
-    pub fn fit_in(&self, order: usize, effects: &[Vec<f64>], from: Option<&Fit>, rounds: usize) -> Option<Fit> {
+    pub(crate) fn fit_in(&self, order: usize, effects: &[Vec<f64>], from: Option<&Fit>, rounds: usize) -> Option<Fit> {
         let used = &self.used[START..];
         if self.count() < 2 * (order + self.bins.len() + 1 + effects.len()) {
             return None;
@@ -194,7 +194,7 @@ impl Design {
 
     /// The best order by BIC (Schwarz 1978), and its BIC, nats.
     #[must_use]
-    pub fn best(&self) -> Option<(Fit, f64)> {
+    pub(crate) fn best(&self) -> Option<(Fit, f64)> {
         let log_n = libm::log(self.y.len() as f64);
         let bic = |fit: Fit| {
             let value = fit.log_likelihood() - 0.5 * fit.order() as f64 * log_n;
@@ -206,7 +206,7 @@ impl Design {
 
     /// PV as A and B make it of u and of `e` at each point, from rest.
     #[must_use]
-    pub fn driven(&self, fit: &Fit, e: &[f64]) -> Vec<f64> {
+    pub(crate) fn driven(&self, fit: &Fit, e: &[f64]) -> Vec<f64> {
         let mut x: Vec<f64> = Vec::with_capacity(e.len());
         for (k, e) in e.iter().enumerate() {
             let by_u: f64 = self.bins.iter().zip(&fit.b).map(|(bin, b)| b * bin[k]).sum();
@@ -229,7 +229,7 @@ impl Design {
 
     /// Innovations of a fit for PV `y`, from point [`START`] on.
     #[must_use]
-    pub fn innovations(&self, fit: &Fit, y: &[f64]) -> Vec<f64> {
+    pub(crate) fn innovations(&self, fit: &Fit, y: &[f64]) -> Vec<f64> {
         let columns = self.regressors(y, fit.order());
         let lags = fit.a[1..].iter().map(|a| -a);
         let all: Vec<f64> = lags.chain(fit.b.iter().copied()).chain([fit.constant]).collect();

@@ -16,7 +16,7 @@ use crate::signal::stats;
 /// What valve and process make of OP.
 pub const VALVE_AND_PROCESS: &str = "valve_and_process";
 /// Several loads that step or last a while.
-pub const UPSETS: &str = "upsets";
+pub(crate) const UPSETS: &str = "upsets";
 /// What wanders from outside.
 pub const DISTURBANCE: &str = "disturbance";
 /// Both, where they are not told apart.

@@ -28,7 +28,7 @@ impl Stretch {
 
 /// Whether the halves confirm an effect of the search.
 #[must_use]
-pub fn confirm(model: &Model, searched: &Searched, effect: usize) -> bool {
+pub(crate) fn confirm(model: &Model, searched: &Searched, effect: usize) -> bool {
     let n = model.design.y.len();
     let halves = [Stretch { from: 0, to: n / 2 }, Stretch { from: n / 2, to: n }];
     let one = Judged { model, searched, effect };

@@ -2,18 +2,18 @@
 //! unexplained; and what the record can tell at all.
 //!
 //! The free run of [`crate::gap::diagnose`] asks whether one effect brings the model down to the noise. A real loop's
-//! disturbance wanders, so that none does. Here effects are judged by one-step predictions of a noise model ([`arx`]), added
-//! one by one ([`search`]), asked of both halves ([`halves`]) and put into one sum ([`parts`]). It changes the cause only where
+//! disturbance wanders, so that none does. Here effects are judged by one-step predictions of a noise model (`arx`), added
+//! one by one ([`search`]), asked of both halves (`halves`) and put into one sum (`parts`). It changes the cause only where
 //! both halves confirm the load of another loop.
 
-pub mod arx;
+pub(crate) mod arx;
 pub mod document;
 mod halves;
-pub mod parts;
+pub(crate) mod parts;
 mod scan;
 pub mod search;
 pub mod series;
-pub mod shapes;
+pub(crate) mod shapes;
 mod smallest;
 mod student;
 

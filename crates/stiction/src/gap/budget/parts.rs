@@ -76,7 +76,7 @@ pub struct Split {
 
 /// Splits a searched series; `noise` is PV's noise over its standard deviation, where it could be read.
 #[must_use]
-pub fn split(model: &Model, searched: &Searched, noise: Option<f64>) -> Split {
+pub(crate) fn split(model: &Model, searched: &Searched, noise: Option<f64>) -> Split {
     let y = &model.design.y;
     let fit = &searched.fit;
     let part =

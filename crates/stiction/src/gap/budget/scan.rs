@@ -74,7 +74,7 @@ pub struct Scan<'f> {
 impl<'f> Scan<'f> {
     /// `None` where the fit's columns depend on each other.
     #[must_use]
-    pub fn new(fit: &'f Fit, n: usize) -> Option<Self> {
+    pub(crate) fn new(fit: &'f Fit, n: usize) -> Option<Self> {
         let k = fit.columns.len();
         let mut gram = DMatrix::zeros(k, k);
         for i in 0..k {
@@ -115,7 +115,7 @@ impl<'f> Scan<'f> {
 
     /// A column less what the fit's columns make of it.
     #[must_use]
-    pub fn new_part(&self, x: &[f64]) -> Vec<f64> {
+    pub(crate) fn new_part(&self, x: &[f64]) -> Vec<f64> {
         let products: Vec<f64> = self.fit.columns.iter().map(|c| stats::dot(c, x)).collect();
         let along = self.factor.solve(&DVector::from_vec(products));
         let mut out = x.to_vec();
@@ -127,7 +127,7 @@ impl<'f> Scan<'f> {
 
     /// Onsets at which a step is looked for.
     #[must_use]
-    pub fn onsets(&self) -> core::ops::Range<usize> {
+    pub(crate) fn onsets(&self) -> core::ops::Range<usize> {
         let end = ((1.0 - ENDS) * self.n as f64) as usize;
         START.max((ENDS * self.n as f64) as usize)..end
     }
@@ -166,7 +166,7 @@ impl<'f> Scan<'f> {
 
     /// The most promising `most` steps.
     #[must_use]
-    pub fn steps(&self, most: usize) -> Vec<Shape> {
+    pub(crate) fn steps(&self, most: usize) -> Vec<Shape> {
         let gain = |step: &SeenStep| gain(step.power, step.along, step.known.norm_squared());
         let found = self.seen_steps(self.onsets()).unwrap_or_default();
         let found = found.iter().map(|step| (gain(step), step.onset)).collect();
@@ -180,7 +180,7 @@ impl<'f> Scan<'f> {
 
     /// The most promising `most` pulses: each is a step less a later one.
     #[must_use]
-    pub fn pulses(&self, most: usize) -> Vec<Shape> {
+    pub(crate) fn pulses(&self, most: usize) -> Vec<Shape> {
         let step = self.whitened_step();
         let at = |i: usize| step[i.min(step.len() - 1)];
         // Power of a whitened pulse of each length by its first points.
@@ -218,7 +218,7 @@ impl<'f> Scan<'f> {
 
     /// The most promising `most` ramps.
     #[must_use]
-    pub fn ramps(&self, most: usize) -> Vec<Shape> {
+    pub(crate) fn ramps(&self, most: usize) -> Vec<Shape> {
         let score = |from: usize| {
             let column = Shape::Ramp(from).columns(self.n, &[]).remove(0);
             (self.gain_of(&whitened(&self.fit.a, &column)[START..]), from)
@@ -231,7 +231,7 @@ impl<'f> Scan<'f> {
 
     /// Frequencies at which a sinusoid is looked for, cycles a point.
     #[must_use]
-    pub fn frequencies(&self, series: &Series) -> Vec<f64> {
+    pub(crate) fn frequencies(&self, series: &Series) -> Vec<f64> {
         let n = self.n as f64;
         let mut cycles = CYCLES[0];
         let mut out = Vec::new();
@@ -247,7 +247,7 @@ impl<'f> Scan<'f> {
 
     /// The most promising `most` sinusoids. A is linear, so that it leaves the plane of sine and cosine as it is.
     #[must_use]
-    pub fn sinusoids(&self, frequencies: &[f64], most: usize) -> Vec<Shape> {
+    pub(crate) fn sinusoids(&self, frequencies: &[f64], most: usize) -> Vec<Shape> {
         let gain = |frequency: f64| {
             let [s, c] = wave(frequency, self.n).map(|mut x| x.split_off(START));
             let of = |x: &[f64]| self.solved(self.fit.columns.iter().map(|column| stats::dot(column, x)));
@@ -271,7 +271,7 @@ impl<'f> Scan<'f> {
 
     /// The most promising `most` places of each load, no sooner than a point behind it.
     #[must_use]
-    pub fn neighbours(&self, series: &Series, most: usize) -> Vec<Shape> {
+    pub(crate) fn neighbours(&self, series: &Series, most: usize) -> Vec<Shape> {
         let dead_time = |i: usize| LAST_DEAD_TIME * series.period * i as f64 / (DEAD_TIMES - 1) as f64;
         let places: Vec<[f64; 2]> = LAGS
             .iter()
@@ -290,7 +290,7 @@ impl<'f> Scan<'f> {
 
     /// Wild values, by the innovations that one leaves behind; `None` where there are too few or too many.
     #[must_use]
-    pub fn outliers(&self) -> Option<Shape> {
+    pub(crate) fn outliers(&self) -> Option<Shape> {
         let a = &self.fit.a;
         let mut e = vec![0.0; START];
         e.extend_from_slice(&self.fit.e);
@@ -310,7 +310,7 @@ impl<'f> Scan<'f> {
 
     /// How many shapes of a kind are looked through.
     #[must_use]
-    pub fn tried(&self, shape: &Shape, frequencies: usize) -> usize {
+    pub(crate) fn tried(&self, shape: &Shape, frequencies: usize) -> usize {
         match shape {
             Shape::Step(_) => self.onsets().len(),
             Shape::Pulse(..) => self.onsets().len() * self.lengths().count(),

@@ -9,7 +9,7 @@ use crate::sim::noise::{Noise, stream_of};
 
 /// Nats that an effect gains at least, beyond its coefficients and the choice among its shapes. Chosen on every second real
 /// recording (PLANTGAP's even ones), so that their resampled nulls name nothing.
-pub const LEAST_GAIN: f64 = 8.0;
+pub(crate) const LEAST_GAIN: f64 = 8.0;
 /// Most effects that are added, all loads that step or last a while being one, and most such loads.
 const MOST_ADDED: usize = 3;
 const MOST_LOADS: usize = 8;
@@ -47,7 +47,7 @@ pub struct Model {
 impl Model {
     /// Chooses u (OP, or the stem) and the order by BIC; `None` where nothing can be fitted.
     #[must_use]
-    pub fn of(series: &Series) -> Option<Self> {
+    pub(crate) fn of(series: &Series) -> Option<Self> {
         /// Parameters of a sticking valve.
         const BANDS: f64 = 2.0;
         let by_op = Design::new(series, Some(&series.op));
@@ -85,7 +85,7 @@ impl Model {
 
     /// The columns of a shape.
     #[must_use]
-    pub fn columns(&self, shape: &Shape) -> Vec<Vec<f64>> {
+    pub(crate) fn columns(&self, shape: &Shape) -> Vec<Vec<f64>> {
         shape.columns(self.design.y.len(), &self.driven)
     }
 }
@@ -113,7 +113,7 @@ pub struct Searched {
 impl Searched {
     /// Which columns an effect has.
     #[must_use]
-    pub fn places(&self, effect: usize) -> core::ops::Range<usize> {
+    pub(crate) fn places(&self, effect: usize) -> core::ops::Range<usize> {
         let count = |added: &Added| match &added.shape {
             Shape::Sinusoid(_) => 2,
             Shape::Outliers(at) => at.len(),
@@ -125,7 +125,7 @@ impl Searched {
 
     /// The effects by part: steps and pulses are one, wherever the search found them.
     #[must_use]
-    pub fn parts(&self) -> Vec<Vec<usize>> {
+    pub(crate) fn parts(&self) -> Vec<Vec<usize>> {
         let mut out: Vec<Vec<usize>> = Vec::new();
         let is_load = |k: usize| self.added[k].shape.edges().is_some();
         for k in 0..self.added.len() {
@@ -149,7 +149,7 @@ impl Searched {
 
     /// What effects add to PV, standard deviations.
     #[must_use]
-    pub fn sum(&self, effects: &[usize]) -> Vec<f64> {
+    pub(crate) fn sum(&self, effects: &[usize]) -> Vec<f64> {
         let mut out = vec![0.0; self.columns.first().map_or(0, Vec::len)];
         for place in effects.iter().flat_map(|effect| self.places(*effect)) {
             let beta = self.fit.beta[place];
@@ -169,7 +169,7 @@ struct Tried {
 
 /// Adds effects to a model until none gains [`LEAST_GAIN`].
 #[must_use]
-pub fn search(series: &Series, model: &Model) -> Searched {
+pub(crate) fn search(series: &Series, model: &Model) -> Searched {
     let mut so_far = Searched { added: Vec::new(), columns: Vec::new(), fit: model.base.clone() };
     while let Some(best) = best(series, model, &so_far).filter(|best| best.gain >= LEAST_GAIN) {
         so_far.added.push(Added { shape: best.shape, gain: best.gain });

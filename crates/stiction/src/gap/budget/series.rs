@@ -9,15 +9,15 @@ use crate::signal::{detrend, stats};
 use crate::sim::valve::he_step;
 
 /// Most points.
-pub const MOST: usize = 900;
+pub(crate) const MOST: usize = 900;
 /// Fewest points that are split.
-pub const FEWEST: usize = 100;
+pub(crate) const FEWEST: usize = 100;
 /// Fewest points in a period.
 const IN_PERIOD: f64 = 8.0;
 /// Periods that a record has at least, as the bins of the process' answer take them.
 const PERIODS: f64 = 5.0;
 
-/// The last part of a record that fits into [`MOST`] points.
+/// The last part of a record that fits into `MOST` points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
     /// PV, less its mean, in standard deviations.
@@ -46,7 +46,7 @@ impl Series {
     /// The series of a record; `bands` are static and kinetic band of He's valve, OP units; `period` in points of the record.
     /// `None` where it is too short, or OP or PV does not move.
     #[must_use]
-    pub fn of(record: &Record, bands: Option<[f64; 2]>, period: Option<f64>) -> Option<Self> {
+    pub(crate) fn of(record: &Record, bands: Option<[f64; 2]>, period: Option<f64>) -> Option<Self> {
         let n = record.len();
         if n < FEWEST {
             return None;
@@ -84,7 +84,7 @@ impl Series {
 
     /// The same with loads that are given at the record's points; those that rest in the series are left out.
     #[must_use]
-    pub fn with_loads(mut self, loads: &[Load]) -> Self {
+    pub(crate) fn with_loads(mut self, loads: &[Load]) -> Self {
         let boxed = |load: &Load| {
             let values = detrend::box_means(load.values.get(self.from..)?, self.box_points);
             let own = Load::new(&load.name, load.from_op, values.get(..self.n())?, load.p_value);

@@ -47,7 +47,7 @@ impl Shape {
 
     /// Its id with the name of the neighbour.
     #[must_use]
-    pub fn full_id(&self) -> String {
+    pub(crate) fn full_id(&self) -> String {
         match self {
             Self::Neighbour(load, _) => effects::neighbour::id_of(&load.name),
             _ => self.id().to_owned(),
@@ -56,7 +56,7 @@ impl Shape {
 
     /// Points at which a load that steps or lasts a while begins and ends; `None` for any other shape.
     #[must_use]
-    pub const fn edges(&self) -> Option<[usize; 2]> {
+    pub(crate) const fn edges(&self) -> Option<[usize; 2]> {
         match self {
             Self::Step(at) => Some([*at, usize::MAX]),
             Self::Pulse(at, length) => Some([*at, *at + *length]),
@@ -66,7 +66,7 @@ impl Shape {
 
     /// Its columns for `n` points; `driven` is what valve and process make of OP.
     #[must_use]
-    pub fn columns(&self, n: usize, driven: &[f64]) -> Vec<Vec<f64>> {
+    pub(crate) fn columns(&self, n: usize, driven: &[f64]) -> Vec<Vec<f64>> {
         let of = |x: &dyn Fn(usize) -> f64| (0..n).map(x).collect::<Vec<f64>>();
         match self {
             Self::Step(at) => vec![of(&|k| f64::from(u8::from(k >= *at)))],
@@ -85,7 +85,7 @@ impl Shape {
 
     /// What its coefficients and the choice among `tried` shapes cost, nats.
     #[must_use]
-    pub fn cost(&self, n: usize, tried: usize) -> f64 {
+    pub(crate) fn cost(&self, n: usize, tried: usize) -> f64 {
         let log_n = libm::log(n as f64);
         match self {
             // Its place is free as well.
@@ -141,7 +141,7 @@ impl Shape {
 
 /// Sine and cosine of a frequency, cycles a point, by rotation from point to point.
 #[must_use]
-pub fn wave(frequency: f64, n: usize) -> [Vec<f64>; 2] {
+pub(crate) fn wave(frequency: f64, n: usize) -> [Vec<f64>; 2] {
     let turn = 2.0 * PI * frequency;
     let (sin, cos) = (libm::sin(turn), libm::cos(turn));
     let (mut s, mut c) = (0.0, 1.0);

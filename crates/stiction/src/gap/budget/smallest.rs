@@ -88,7 +88,7 @@ impl<'r> Trial<'r> {
 
 /// The least step that would have been named, standard deviations of PV.
 #[must_use]
-pub fn step(series: &Series, model: &Model, searched: &Searched) -> Option<f64> {
+pub(crate) fn step(series: &Series, model: &Model, searched: &Searched) -> Option<f64> {
     let trial = Trial::new(series, searched)?;
     let n = series.n();
     let onsets = trial.scan.onsets();
@@ -109,7 +109,7 @@ pub fn step(series: &Series, model: &Model, searched: &Searched) -> Option<f64> 
 /// The least amplitude of a slow sinusoid that would have been named, standard deviations of PV, and its frequency, cycles a
 /// point.
 #[must_use]
-pub fn sinusoid(series: &Series, model: &Model, searched: &Searched) -> Option<(f64, f64)> {
+pub(crate) fn sinusoid(series: &Series, model: &Model, searched: &Searched) -> Option<(f64, f64)> {
     let trial = Trial::new(series, searched)?;
     let n = series.n();
     let frequencies = trial.scan.frequencies(series);

@@ -26,7 +26,7 @@ pub struct Student {
 impl Student {
     /// The likeliest of two degrees of freedom and any scale for the innovations `e` of the points in `used`.
     #[must_use]
-    pub fn of(e: &[f64], used: &[bool]) -> Self {
+    pub(crate) fn of(e: &[f64], used: &[bool]) -> Self {
         let kept: Vec<f64> = e.iter().zip(used).filter(|(_, used)| **used).map(|(e, _)| e * e).collect();
         let fits = FREEDOM.map(|freedom| Self::with(freedom, &kept));
         if fits[1].log_likelihood > fits[0].log_likelihood { fits[1] } else { fits[0] }
@@ -62,13 +62,13 @@ impl Student {
 
     /// What innovations cost beyond innovations of 0, nats.
     #[must_use]
-    pub fn loss(&self, e: impl Iterator<Item = f64>) -> f64 {
+    pub(crate) fn loss(&self, e: impl Iterator<Item = f64>) -> f64 {
         self.losses(&e.map(|e| e * e).collect::<Vec<_>>())
     }
 
     /// Weight of an innovation in the next round of least squares.
     #[must_use]
-    pub fn weight(&self, e: f64) -> f64 {
+    pub(crate) fn weight(&self, e: f64) -> f64 {
         let z = e / self.scale;
         (self.freedom + 1.0) / (self.freedom + z * z)
     }

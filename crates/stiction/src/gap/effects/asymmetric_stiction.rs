@@ -4,7 +4,7 @@ use super::effect::{Effect, Param, Reach, Unit, kept};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[Param { name: "alpha", unit: Unit::One, reach: Reach::Jumps, limits: |_| [-0.7, 0.7], trade: kept }],
     apply: |p, plan| plan.stroke.uneven = p[0],
     // Slips are right within a hundredth of the bands only, so that the step between starts is small.

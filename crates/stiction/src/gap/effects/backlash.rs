@@ -5,7 +5,7 @@ use crate::gap::candidate::Parameters;
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[Param { name: "width", unit: Unit::Op, reach: Reach::Stem, limits: |_| [0.0, 0.8], trade: for_band }],
     apply: |p, plan| plan.play = p[0].max(0.0),
     starts: |_| [0.02, 0.04, 0.07, 0.12, 0.2, 0.3, 0.42, 0.55, 0.7].map(|w| [w, 0.0, 0.0]).to_vec(),

@@ -5,7 +5,7 @@ use crate::gap::traces::Traces;
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     confused_with: &["travel_limit"],
     separated_by: "the transmitter's range",
     noun: "a transmitter at the end of its range",

@@ -50,7 +50,7 @@ impl Clues<'_> {
 
     /// The frequencies, radians a point, at which the residual holds most, best first, each a peak of its own.
     #[must_use]
-    pub fn frequencies(&self, wanted: usize) -> Vec<f64> {
+    pub(crate) fn frequencies(&self, wanted: usize) -> Vec<f64> {
         const STEPS: usize = 240;
         let n = self.problem.n() as f64;
         let (low, high) = (2.0 * core::f64::consts::PI / n, 1.2_f64);
@@ -62,13 +62,13 @@ impl Clues<'_> {
 
     /// The instants at which a step in the residual explains most of it, points, best first.
     #[must_use]
-    pub fn steps(&self, wanted: usize) -> Vec<f64> {
+    pub(crate) fn steps(&self, wanted: usize) -> Vec<f64> {
         self.scan(wanted, &|k, t| if k >= t { 1.0 } else { 0.0 })
     }
 
     /// The instants from which a ramp explains most of it, points, best first.
     #[must_use]
-    pub fn bends(&self, wanted: usize) -> Vec<f64> {
+    pub(crate) fn bends(&self, wanted: usize) -> Vec<f64> {
         self.scan(wanted, &|k, t| (k - t).max(0.0))
     }
 

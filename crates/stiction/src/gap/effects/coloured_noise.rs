@@ -4,7 +4,7 @@ use super::effect::{Effect, Way};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     predictable: false,
     confused_with: &["sinusoid", "ramp", "step_load"],
     separated_by: "the disturbance itself, or PV with OP held",

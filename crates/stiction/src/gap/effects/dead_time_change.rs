@@ -8,7 +8,7 @@ use crate::gap::problem::Problem;
 use crate::gap::types::{Parameter, Stage};
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[
         Param {
             name: "at",

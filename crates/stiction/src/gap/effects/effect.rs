@@ -73,7 +73,7 @@ pub enum Unit {
 
 /// What the rest of a parameter vector gives way by when a parameter has changed: the vector after the change, the
 /// parameter's place in it, the change, and how fast OP usually moves (spans a point).
-pub type Trade = fn(&mut Parameters, usize, f64, f64);
+pub(crate) type Trade = fn(&mut Parameters, usize, f64, f64);
 
 /// One nonlinear parameter.
 #[derive(Debug)]
@@ -101,14 +101,14 @@ pub(super) fn for_dead_time(theta: &mut Parameters, at: usize, by: f64, _op_rate
 impl Param {
     /// Bounds in the units of the search, low below high.
     #[must_use]
-    pub fn bounds(&self, problem: &Problem) -> [f64; 2] {
+    pub(crate) fn bounds(&self, problem: &Problem) -> [f64; 2] {
         let [low, high] = (self.limits)(problem);
         [low, high.max(low + 1e-9)]
     }
 
     /// The value in recorded units, with their name.
     #[must_use]
-    pub fn recorded(&self, value: f64, problem: &Problem) -> Option<Parameter> {
+    pub(crate) fn recorded(&self, value: f64, problem: &Problem) -> Option<Parameter> {
         let (value, unit) = match self.unit {
             Unit::One => (value, "1"),
             Unit::LogTime => (libm::exp(value) * problem.point_s, "s"),
@@ -125,7 +125,7 @@ impl Param {
 
     /// The inverse of [`Param::recorded`].
     #[must_use]
-    pub fn normalised(&self, value: f64, problem: &Problem) -> f64 {
+    pub(crate) fn normalised(&self, value: f64, problem: &Problem) -> f64 {
         match self.unit {
             Unit::One | Unit::Choice => value,
             Unit::LogTime => libm::log((value / problem.point_s).max(1e-9)),
@@ -150,7 +150,7 @@ impl Rest {
     /// Half of the squared error that a wave of a frequency (radians a point) takes beside a constant: 1 on average where
     /// white noise of one floor is left (two coefficients).
     #[must_use]
-    pub fn power_at(&self, omega: f64) -> f64 {
+    pub(crate) fn power_at(&self, omega: f64) -> f64 {
         let column = |of: fn(f64) -> f64| self.points.iter().map(move |(k, _)| of(omega * k)).collect::<Vec<f64>>();
         let left: Vec<f64> = self.points.iter().map(|(_, left)| *left).collect();
         let columns = [vec![1.0; left.len()], column(libm::cos), column(libm::sin), left];
@@ -227,7 +227,7 @@ pub struct Effect {
 impl Effect {
     /// Its id in documents: that of another loop's load has the loop's name.
     #[must_use]
-    pub fn id_in(&self, problem: &Problem) -> String {
+    pub(crate) fn id_in(&self, problem: &Problem) -> String {
         match &problem.neighbour {
             Some(load) if self.way == Way::Neighbour => self.id_of(&load.name),
             _ => self.id.to_owned(),
@@ -236,7 +236,7 @@ impl Effect {
 
     /// Its id with the name of a loop.
     #[must_use]
-    pub fn id_of(&self, name: &str) -> String {
+    pub(crate) fn id_of(&self, name: &str) -> String {
         format!("{}({name})", self.id)
     }
 
@@ -282,7 +282,7 @@ impl Effect {
 /// Margin of an effect that is bound to the valve signal.
 pub const MARGIN: f64 = 0.10;
 /// Margin of one that is not, or that bends further.
-pub const WIDE_MARGIN: f64 = 0.15;
+pub(crate) const WIDE_MARGIN: f64 = 0.15;
 
 /// A lag of up to `MOST` raw samples that acts where `reach` says.
 pub(super) const fn lag<const MOST: u32>(reach: Reach) -> Param {

@@ -4,7 +4,7 @@ use super::effect::{Effect, Reach, lag, lags, said_already};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[lag::<60>(Reach::SecondLag)],
     apply: |p, plan| plan.tau2 = libm::exp(p[0]),
     starts: |clues| lags(clues, &[0.01, 0.04, 0.12, 0.3]),

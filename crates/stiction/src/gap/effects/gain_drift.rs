@@ -8,7 +8,7 @@ use crate::gap::types::Stage;
 const LEAST_CHANGE: f64 = 0.1;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[
         Param {
             name: "gain_change_over_record",

@@ -4,7 +4,7 @@ use super::effect::{Effect, said_already};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     apply: |_, plan| plan.integrating = true,
     confused_with: &["extra_lag", "ramp"],
     separated_by: "one open-loop step of OP, watched until PV settles or runs away",

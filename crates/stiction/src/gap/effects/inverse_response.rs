@@ -4,7 +4,7 @@ use super::effect::{Effect, Reach, WIDE_MARGIN, lag, lags};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[lag::<60>(Reach::SecondLag)],
     apply: |p, plan| {
         plan.tau2 = libm::exp(p[0]);

@@ -3,32 +3,32 @@
 
 mod asymmetric_stiction;
 mod backlash;
-pub mod clipping;
+pub(crate) mod clipping;
 mod clues;
-pub mod coloured_noise;
+pub(crate) mod coloured_noise;
 mod dead_time_change;
 mod effect;
-pub mod extra_lag;
-pub mod frozen_sensor;
-pub mod gain_drift;
-pub mod hold_compression;
-pub mod integrating;
+pub(crate) mod extra_lag;
+pub(crate) mod frozen_sensor;
+pub(crate) mod gain_drift;
+pub(crate) mod hold_compression;
+pub(crate) mod integrating;
 mod inverse_response;
 pub mod neighbour;
-pub mod outliers;
+pub(crate) mod outliers;
 mod positioner_lag;
-pub mod quantisation;
-pub mod ramp;
+pub(crate) mod quantisation;
+pub(crate) mod ramp;
 mod rate_limit;
-pub mod sensor_filter;
-pub mod sinusoid;
+pub(crate) mod sensor_filter;
+pub(crate) mod sinusoid;
 mod sliding_valve;
 mod slip_overshoot;
-pub mod static_nonlinearity;
-pub mod step_load;
-pub mod stiction;
-pub mod swinging_door;
-pub mod time_skew;
+pub(crate) mod static_nonlinearity;
+pub(crate) mod step_load;
+pub(crate) mod stiction;
+pub(crate) mod swinging_door;
+pub(crate) mod time_skew;
 mod travel_limit;
 
 pub use clues::Clues;
@@ -73,7 +73,7 @@ pub fn by_id(id: &str) -> Option<&'static Effect> {
 
 /// An id without the name of a neighbour.
 #[must_use]
-pub fn kind(id: &str) -> &str {
+pub(crate) fn kind(id: &str) -> &str {
     id.split_once('(').map_or(id, |(kind, _)| kind)
 }
 

@@ -7,10 +7,10 @@ use crate::gap::problem::Problem;
 use crate::gap::types::{Parameter, Stage};
 
 /// Longest lag and longest dead time, periods: beyond half a period a cycle looks the same upside down.
-pub const LONGEST: f64 = 0.5;
+pub(crate) const LONGEST: f64 = 0.5;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     way: super::effect::Way::Neighbour,
     params: &[
         Param {

@@ -4,7 +4,7 @@ use super::effect::{Effect, Way};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     // What the sensor made up is known only from PV itself.
     predictable: false,
     confused_with: &["coloured_noise"],

@@ -4,7 +4,7 @@ use super::effect::{Effect, Reach, lag, lags};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[lag::<40>(Reach::Path)],
     apply: |p, plan| plan.positioner = libm::exp(p[0]),
     starts: |clues| lags(clues, &[0.003, 0.01, 0.02, 0.035, 0.05, 0.08, 0.11, 0.17, 0.25]),

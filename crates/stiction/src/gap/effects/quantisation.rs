@@ -4,7 +4,7 @@ use super::effect::{Effect, Way};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     predictable: false,
     confused_with: &["hold_compression"],
     separated_by: "the transmitter's resolution",

@@ -12,7 +12,7 @@ use crate::sim::disturbance::Disturbance;
 const FOR_GOOD_S: f64 = 1e9;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[Param {
         name: "from",
         unit: Unit::Instant,

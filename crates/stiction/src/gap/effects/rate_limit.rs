@@ -5,7 +5,7 @@ use super::effect::{Effect, Param, Reach, Start, Unit, kept};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[
         Param {
             name: "rate",

@@ -4,7 +4,7 @@ use super::effect::{Effect, Way, said_already};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     bare: true,
     confused_with: &["extra_lag", "coloured_noise"],
     separated_by: "the filter setting of the transmitter or of the PV block",

@@ -22,7 +22,7 @@ const IS_THERE: f64 = 15.0;
 const STANDS_OUT: f64 = 3.0;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[Param {
         name: "period",
         unit: Unit::Period,

@@ -17,7 +17,7 @@ fn drag(problem: &Problem) -> [f64; 2] {
 }
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[
         Param { name: "drag", unit: Unit::LogTime, reach: Reach::Path, limits: drag, trade: for_dead_time },
         Param {

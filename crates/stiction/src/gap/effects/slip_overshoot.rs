@@ -6,7 +6,7 @@ use crate::gap::candidate::Parameters;
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[Param {
         name: "carried",
         unit: Unit::One,

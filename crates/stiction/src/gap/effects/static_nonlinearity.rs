@@ -10,7 +10,7 @@ use crate::gap::in_loop::NoPlace;
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[
         Param {
             name: "gain_change_per_op",

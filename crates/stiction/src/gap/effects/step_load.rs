@@ -9,7 +9,7 @@ use crate::gap::types::{Parameter, Stage};
 use crate::sim::disturbance::Disturbance;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[
         Param {
             name: "at",

@@ -5,7 +5,7 @@ use crate::gap::types::Stage;
 use crate::sim::slips::Law;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     way: Way::AgainstLinear,
     apply: |_, plan| plan.law = Some(Law::He),
     confused_with: &["backlash", "sliding_valve"],

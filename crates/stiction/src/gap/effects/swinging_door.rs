@@ -5,7 +5,7 @@ use crate::gap::traces::Traces;
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     confused_with: &["hold_compression"],
     separated_by: "the historian's compression setting, or PV taken from the bus",
     noun: "a history of straight lines",

@@ -4,7 +4,7 @@ use super::effect::{Effect, Way};
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     confused_with: &["dead_time_change"],
     separated_by: "stamps from the controller itself",
     noun: "stamps of OP and PV that lie apart",

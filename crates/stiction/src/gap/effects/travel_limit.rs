@@ -8,7 +8,7 @@ use crate::gap::problem::Problem;
 use crate::gap::types::{Parameter, Stage};
 
 /// As the catalogue has it.
-pub const EFFECT: Effect = Effect {
+pub(crate) const EFFECT: Effect = Effect {
     params: &[
         Param { name: "stop", unit: Unit::StemEnd, reach: Reach::Path, limits: |_| [-2.0, 2.0], trade: kept },
         Param { name: "upper", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },

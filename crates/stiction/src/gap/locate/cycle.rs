@@ -36,7 +36,7 @@ fn moves(held: &Held<'_>) -> Vec<(usize, f64)> {
 
 impl Steps {
     /// Reads them from the model.
-    pub fn of(held: &Held<'_>) -> Self {
+    pub(crate) fn of(held: &Held<'_>) -> Self {
         let n = held.residual.len();
         let settle_s = held.fit.dead_time_s + held.fit.time_constants_s.iter().sum::<f64>();
         let window = (settle_s / held.point_s).round().clamp(1.0, n.max(1) as f64) as usize;

@@ -44,7 +44,7 @@ pub(super) struct Shares {
 
 impl<'a> Held<'a> {
     /// The subject's residual on the record that it was fitted to.
-    pub fn new(record: &Record, subject: &Subject<'a>) -> Self {
+    pub(crate) fn new(record: &Record, subject: &Subject<'a>) -> Self {
         let Subject { fit, blocks, period_points, seed, .. } = *subject;
         let left = |k: usize| {
             let e = record.pv.get(k)? - fit.prediction.get(k)?;
@@ -75,17 +75,17 @@ impl<'a> Held<'a> {
     }
 
     /// The residual at the points that count.
-    pub fn values(&self) -> Vec<f64> {
+    pub(crate) fn values(&self) -> Vec<f64> {
         self.points.iter().map(|&k| self.residual[k]).collect()
     }
 
     /// Its squares.
-    pub fn squares(&self) -> Vec<f64> {
+    pub(crate) fn squares(&self) -> Vec<f64> {
         self.points.iter().map(|&k| self.residual[k] * self.residual[k]).collect()
     }
 
     /// Cuts the squared residual by the group (below `count`) of each point.
-    pub fn shares(&self, purpose: &str, count: usize, group_of: impl Fn(usize) -> usize) -> Shares {
+    pub(crate) fn shares(&self, purpose: &str, count: usize, group_of: impl Fn(usize) -> usize) -> Shares {
         let groups: Vec<usize> = self.points.iter().map(|&k| group_of(k).min(count.saturating_sub(1))).collect();
         let squares = self.squares();
         let whole: f64 = squares.iter().sum();
@@ -112,7 +112,7 @@ impl<'a> Held<'a> {
     }
 
     /// The share of variance that the means of groups explain (R2), tested.
-    pub fn explained(&self, purpose: &str, count: usize, group_of: impl Fn(usize) -> usize) -> Option<Test> {
+    pub(crate) fn explained(&self, purpose: &str, count: usize, group_of: impl Fn(usize) -> usize) -> Option<Test> {
         let groups: Vec<usize> = self.points.iter().map(|&k| group_of(k).min(count.saturating_sub(1))).collect();
         let values = self.values();
         let mut members = vec![0.0; count];
@@ -130,13 +130,13 @@ impl<'a> Held<'a> {
 
     /// Tests a statistic of values at the held points against the same after shuffling: blocks of one and a half
     /// periods change places and turn within themselves, so that their own correlation stays and their place goes.
-    pub fn test(&self, purpose: &str, values: &[f64], statistic: impl Fn(&[f64]) -> f64) -> Option<Test> {
+    pub(crate) fn test(&self, purpose: &str, values: &[f64], statistic: impl Fn(&[f64]) -> f64) -> Option<Test> {
         let length = (1.5 * self.period).round().max(1.0) as usize;
         if values.len() < MIN_POINTS { None } else { self.against_chance(purpose, values, length, statistic) }
     }
 
     /// The same for values that do not hang together, each moved alone.
-    pub fn test_singly(&self, purpose: &str, values: &[f64], statistic: impl Fn(&[f64]) -> f64) -> Option<Test> {
+    pub(crate) fn test_singly(&self, purpose: &str, values: &[f64], statistic: impl Fn(&[f64]) -> f64) -> Option<Test> {
         self.against_chance(purpose, values, 1, statistic)
     }
 

@@ -128,7 +128,7 @@ fn take(column: &mut [f64], known: &[Vec<f64>]) {
 
 impl Scan {
     /// Of a record and its neighbours.
-    pub fn new(problem: &Problem, neighbours: &[Neighbour]) -> Self {
+    pub(crate) fn new(problem: &Problem, neighbours: &[Neighbour]) -> Self {
         let bin = ((problem.period / BINS).floor() as usize).max(1);
         let counted = |k: usize| !problem.blocks.masked[k] && problem.is_measured(k);
         let fitted = |k: usize| k >= problem.blocks.from && !problem.blocks.held_out[k] && counted(k);
@@ -171,7 +171,7 @@ impl Scan {
     }
 
     /// Every signal of a neighbour, the one that tells most first.
-    pub fn hits(&self) -> Vec<Hit> {
+    pub(crate) fn hits(&self) -> Vec<Hit> {
         let n = self.counts.len();
         let Some(target) = self.target(&self.fitted, FIRST, n.saturating_sub(FIRST)) else { return Vec::new() };
         let mut room = Vec::new();
@@ -206,7 +206,7 @@ impl Scan {
 
     /// How often shifted neighbours tell as much as the neighbours themselves: a p-value. `None` where the record is too
     /// short for shifts of some periods.
-    pub fn p_value(&self, seed: u64) -> Option<f64> {
+    pub(crate) fn p_value(&self, seed: u64) -> Option<f64> {
         let mut open = self.shifts();
         let n = self.counts.len();
         let mut rng = seeded_rng(seed, 77);

@@ -14,7 +14,7 @@ fn made() -> (Problem, Parameters) {
 }
 
 /// A record made by a structure without linear parts of its own, and the theta that made it.
-pub fn made_by(structure: &Structure, p: [f64; MAX_PARAMS]) -> (Problem, Parameters) {
+pub(crate) fn made_by(structure: &Structure, p: [f64; MAX_PARAMS]) -> (Problem, Parameters) {
     let mut noise = Noise::new(1, 0);
     let op: Vec<f64> =
         (0..700).map(|k| 50.0 + 5.0 * libm::sin(f64::from(k) * 0.09) + 2.0 * libm::sin(f64::from(k) * 0.031)).collect();

@@ -41,12 +41,12 @@ pub struct HeldSums {
 
 impl HeldSums {
     /// Forgets them: another valve signal comes.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.of.clear();
     }
 
     /// Those of a dead time of `delay` whole points; `steps` are the same from one [`HeldSums::clear`] to the next.
-    pub fn get(&mut self, view: &View, steps: &[Step], delay: usize, ramp: bool) -> Held {
+    pub(crate) fn get(&mut self, view: &View, steps: &[Step], delay: usize, ramp: bool) -> Held {
         if self.from != view.from() || self.points != view.points() || self.counted != view.counted() {
             (self.from, self.points) = (view.from(), view.points());
             self.counted.clear();
@@ -65,7 +65,7 @@ impl HeldSums {
 impl Held {
     /// Of the steps of a valve signal, their answer `delay` whole points late; with what ramps are in, or without.
     #[must_use]
-    pub fn of(view: &View, steps: &[Step], delay: usize, ramp: bool) -> Self {
+    pub(crate) fn of(view: &View, steps: &[Step], delay: usize, ramp: bool) -> Self {
         let moved = steps
             .iter()
             .fold([0.0; 2], |[level, direction], s| [level + s.level * s.level, direction + s.direction * s.direction]);

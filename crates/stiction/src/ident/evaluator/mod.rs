@@ -4,7 +4,7 @@
 //! is made of a level, a ramp and one or two decays. Products of such columns with each other
 //! follow from sums over the valve's steps; products with PV come from tables of PV's own sums, made once for every time constant.
 //! [`View`] holds PV, the filter of the error and those tables; [`reduce`] walks the steps; [`Reduced`] knows the error
-//! for every dead time within a sample, gain and kinetic band. The plain pass over samples, [`super::fit`], computes the
+//! for every dead time within a sample, gain and kinetic band. The plain pass over samples, `super::fit`, computes the
 //! same and is held against it by tests.
 
 mod gathered;

@@ -64,7 +64,7 @@ impl Reduced {
 
     /// Products of the two halves' answers, as [`best_band`] takes them.
     #[must_use]
-    pub fn system(&self, fraction: f64) -> [f64; 5] {
+    pub(crate) fn system(&self, fraction: f64) -> [f64; 5] {
         let w = self.weights(fraction);
         let square = |m: &[f64; 6], twice: f64| {
             w[0] * w[0] * m[0]
@@ -84,14 +84,14 @@ impl Reduced {
 
     /// Gain, kinetic band and the squares they explain at one dead time.
     #[must_use]
-    pub fn at(&self, fraction: f64, freedom: &Freedom) -> (f64, f64, f64) {
+    pub(crate) fn at(&self, fraction: f64, freedom: &Freedom) -> (f64, f64, f64) {
         let scale = if self.class.integrates() { 1.0 / (INTEGRATOR_SCALE * INTEGRATOR_SCALE) } else { 1.0 };
         best_band(self.system(fraction), self.whole.map(|w| w * scale), freedom)
     }
 
     /// The best dead time from `fractions[0]` to `fractions[1]` of a sample, by parabolas through what is explained.
     #[must_use]
-    pub fn best(&self, freedom: &Freedom, fractions: [f64; 2]) -> Best {
+    pub(crate) fn best(&self, freedom: &Freedom, fractions: [f64; 2]) -> Best {
         best_place(fractions, |fraction| {
             let (gain, fd, explained) = self.at(fraction, freedom);
             Best { sse: (self.rest - explained).max(0.0), gain, fd, fraction }
@@ -101,7 +101,7 @@ impl Reduced {
     /// As [`Reduced::best`] for the two lags of [`Class::Second`] side by side, each with a gain of its own (`gain` is their
     /// sum); pairs of gains that are not `accepted` leave all of PV.
     #[must_use]
-    pub fn best_side_by_side(
+    pub(crate) fn best_side_by_side(
         &self,
         freedom: &Freedom,
         fractions: [f64; 2],
@@ -123,7 +123,7 @@ impl Reduced {
 
     /// Gains of two lags side by side for one dead time and kinetic band, and the squares that they explain.
     #[must_use]
-    pub fn side_by_side(&self, fraction: f64, fd: f64) -> ([f64; 2], f64) {
+    pub(crate) fn side_by_side(&self, fraction: f64, fd: f64) -> ([f64; 2], f64) {
         let left = self.tau.map(|tau| libm::exp(-(1.0 - fraction) / tau));
         let product = |slot: usize| {
             let (a, b) = PAIRS[slot];

@@ -78,7 +78,7 @@ impl View {
 
     /// `pv` and `loads` (of its length) on the stretches `counted`, in order and none of them before `from`.
     #[must_use]
-    pub fn of_stretches(pv: &[f64], loads: &[&[f64]], rho: f64, from: usize, counted: &[[usize; 2]]) -> Self {
+    pub(crate) fn of_stretches(pv: &[f64], loads: &[&[f64]], rho: f64, from: usize, counted: &[[usize; 2]]) -> Self {
         let (from, points) = (from.max(1), pv.len());
         let within = |[a, b]: &[usize; 2]| [(*a).max(from), (*b).min(points)];
         let counted: Vec<[usize; 2]> = counted.iter().map(within).filter(|[a, b]| a < b).collect();
@@ -96,7 +96,7 @@ impl View {
 
     /// The same view of PV beside these loads (of its length) in place of its own; tables of PV are made once for both.
     #[must_use]
-    pub fn beside(&self, loads: &[&[f64]]) -> Self {
+    pub(crate) fn beside(&self, loads: &[&[f64]]) -> Self {
         let column = |x: &&[f64]| Arc::new(Column::new(x, self.rho, self.from, &self.counted));
         let columns: Vec<Arc<Column>> = self.columns.iter().take(1).cloned().chain(loads.iter().map(column)).collect();
         Self { counted: self.counted.clone(), products: products(&columns), columns, lattice: empty_lattice(), ..*self }
@@ -104,44 +104,44 @@ impl View {
 
     /// Filter of the error, `1 - rho q^-1`.
     #[must_use]
-    pub const fn rho(&self) -> f64 {
+    pub(crate) const fn rho(&self) -> f64 {
         self.rho
     }
 
     /// First point that may count.
     #[must_use]
-    pub const fn from(&self) -> usize {
+    pub(crate) const fn from(&self) -> usize {
         self.from
     }
 
     /// Points, those that do not count included.
     #[must_use]
-    pub const fn points(&self) -> usize {
+    pub(crate) const fn points(&self) -> usize {
         self.points
     }
 
     /// Stretches of points that count.
     #[must_use]
-    pub fn counted(&self) -> &[[usize; 2]] {
+    pub(crate) fn counted(&self) -> &[[usize; 2]] {
         &self.counted
     }
 
     /// Points that count.
     #[must_use]
-    pub const fn count(&self) -> f64 {
+    pub(crate) const fn count(&self) -> f64 {
         self.moments[0]
     }
 
     /// Sum of the squares of filtered PV less its mean: what no model at all leaves.
     #[must_use]
-    pub fn nothing(&self) -> f64 {
+    pub(crate) fn nothing(&self) -> f64 {
         let sum = self.columns[0].with_one;
         self.products[0][0] - sum * sum / self.moments[0].max(1.0)
     }
 
     /// Loads that are fitted beside the process' answer.
     #[must_use]
-    pub const fn loads(&self) -> usize {
+    pub(crate) const fn loads(&self) -> usize {
         self.columns.len() - 1
     }
 
@@ -168,7 +168,7 @@ impl View {
     }
 
     /// The table of a place on the lattice, made when it is first asked for.
-    pub fn on_lattice(&self, index: i32) -> Arc<Table> {
+    pub(crate) fn on_lattice(&self, index: i32) -> Arc<Table> {
         let index = index.clamp(PLACES[0], PLACES[1]);
         let slot = &self.lattice[(index - PLACES[0]) as usize];
         Arc::clone(slot.get_or_init(|| Arc::new(self.table(lattice_tau(index)))))
@@ -176,7 +176,7 @@ impl View {
 
     /// The table of a view beside loads, from that of the same PV without them.
     #[must_use]
-    pub fn extended(&self, of_pv: &Table) -> Table {
+    pub(crate) fn extended(&self, of_pv: &Table) -> Table {
         let mut table = of_pv.clone();
         table.steps.truncate(1);
         table.with_memory.truncate(1);

@@ -37,7 +37,7 @@ const MOVES_CANDIDATES: usize = 6;
 const NO_END: f64 = 0.25;
 const AS_GOOD: f64 = 1.01;
 /// s in spans of OP from which an index counts in full: smaller bands are within what noise and rounding imitate.
-pub const FULL_WEIGHT: f64 = 0.2;
+pub(crate) const FULL_WEIGHT: f64 = 0.2;
 
 /// The candidate to report.
 #[derive(Debug, Clone)]
@@ -60,21 +60,21 @@ pub struct Answer {
 
 /// Share of an error that goes with the friction, 0..1.
 #[must_use]
-pub fn improvement(with: f64, without: f64) -> f64 {
+pub(crate) fn improvement(with: f64, without: f64) -> f64 {
     if without > 0.0 { (1.0 - with / without).clamp(0.0, 1.0) } else { 0.0 }
 }
 
 impl Answer {
     /// Share of the plain error that goes with the friction.
     #[must_use]
-    pub fn index(&self) -> f64 {
+    pub(crate) fn index(&self) -> f64 {
         improvement(self.plain.sse, self.without)
     }
 }
 
 impl Search<'_, '_> {
     /// The answer for the best candidate of one law; `None` where it has no process.
-    pub fn answer(&mut self, best: Candidate, found: &Found, options: &Options) -> Option<Answer> {
+    pub(crate) fn answer(&mut self, best: Candidate, found: &Found, options: &Options) -> Option<Answer> {
         let Options { model, seed, .. } = *options;
         let rich = best;
         let best = self.earned(rich, model, 0.0)?;
@@ -249,7 +249,7 @@ fn held_out(evaluator: &mut Evaluator<'_>, view: &View, of: &Candidate) -> f64 {
 
 /// A candidate as the plain pass over samples holds it.
 #[must_use]
-pub fn as_plain(of: &Candidate, process: &Polished) -> Plain {
+pub(crate) fn as_plain(of: &Candidate, process: &Polished) -> Plain {
     let shape = shape_of(of.class, process.taus, process.lag);
     let fit = Fitted { sse: process.sse, gain: process.gain, fd: process.fd, memory: [0.0; 3], shape };
     Plain {
@@ -266,7 +266,7 @@ pub fn as_plain(of: &Candidate, process: &Polished) -> Plain {
 
 /// The view that an answer was fitted to.
 #[must_use]
-pub fn view_of(search: &mut Search<'_, '_>, answer: &Answer) -> View {
+pub(crate) fn view_of(search: &mut Search<'_, '_>, answer: &Answer) -> View {
     let (evaluator, plain) = search.whole();
     if answer.rho == 0.0 { plain.clone() } else { evaluator.problem.view(answer.rho, evaluator.points) }
 }

@@ -21,7 +21,7 @@ const BESIDE: f64 = 0.5;
 impl Evaluator<'_> {
     /// Tables around a process of the evaluator's class.
     #[must_use]
-    pub fn around(&self, view: &View, process: &Polished) -> Around {
+    pub(crate) fn around(&self, view: &View, process: &Polished) -> Around {
         let by = libm::exp(BESIDE * LATTICE_STEP);
         let count = if self.class == Class::Second { 2 } else { 1 };
         let mut tables: Vec<Table> = Vec::new();
@@ -33,7 +33,7 @@ impl Evaluator<'_> {
 
     /// A candidate whose time constants stay near those of `around`: its error is that of the best of them, read from a
     /// quadratic model, where it lies below `enough` as it is.
-    pub fn fit_around(
+    pub(crate) fn fit_around(
         &mut self,
         view: &View,
         around: &Around,
@@ -65,14 +65,14 @@ impl Evaluator<'_> {
 
     /// A candidate's squared error against fd, its slips, time constants and lag held, and the band of fd that its slips
     /// allow.
-    pub fn profile(&mut self, view: &View, around: &Around, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
+    pub(crate) fn profile(&mut self, view: &View, around: &Around, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
         let freedom = self.slip(of.s, of.j, of.start)?;
         let reduced = self.reduced(view, around.pair([0, 0]), of.fit.delay);
         Some((BandProfile::new(reduced.system(of.fit.fraction), reduced.rest), freedom.fd))
     }
 
     /// By how much the standard error of fd grows when time constants and lag are free too, at least 1.
-    pub fn band_stretch(&mut self, view: &View, of: &Candidate, process: &Polished) -> f64 {
+    pub(crate) fn band_stretch(&mut self, view: &View, of: &Candidate, process: &Polished) -> f64 {
         let Some(freedom) = self.slip(of.s, of.j, of.start) else { return 1.0 };
         let width = 0.05 * of.s;
         let around = self.around(view, process);

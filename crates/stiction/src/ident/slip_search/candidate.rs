@@ -30,7 +30,7 @@ pub struct Candidate {
 
 /// A process fitted with its time constants on the lattice.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LatticeFit {
+pub(crate) struct LatticeFit {
     /// Squared error of the view it was fitted to.
     pub sse: f64,
     /// Coefficient of the unit response; 0 where no gain of the asked sign helps.
@@ -48,7 +48,7 @@ pub struct LatticeFit {
 impl LatticeFit {
     /// Dead time and the sample that a held signal takes to act, points.
     #[must_use]
-    pub fn lag(&self) -> f64 {
+    pub(crate) fn lag(&self) -> f64 {
         self.delay as f64 + self.fraction
     }
 }
@@ -56,20 +56,20 @@ impl LatticeFit {
 impl Candidate {
     /// Whether (s, j) with the same start makes the same slips.
     #[must_use]
-    pub fn covers(&self, s: f64, j: f64, start: Start) -> bool {
+    pub(crate) fn covers(&self, s: f64, j: f64, start: Start) -> bool {
         let within = |[low, high]: [f64; 2], x: f64| low <= x && x < high;
         self.start == start && within(self.cells[0], s) && within(self.cells[1], j)
     }
 
     /// Squared error.
     #[must_use]
-    pub const fn sse(&self) -> f64 {
+    pub(crate) const fn sse(&self) -> f64 {
         self.fit.sse
     }
 
     /// Time constants, points, the larger first; meaningless where the class lacks them.
     #[must_use]
-    pub fn taus(&self) -> [f64; 2] {
+    pub(crate) fn taus(&self) -> [f64; 2] {
         self.fit.places.map(lattice_tau)
     }
 
@@ -82,7 +82,7 @@ impl Candidate {
 /// The best candidates that stand apart, best first: `overall` of them by error, then `each` of every third of j / s, without
 /// which models that slip at every sample would fill the list.
 #[must_use]
-pub fn apart(pool: &[Candidate], overall: usize, each: usize) -> Vec<Candidate> {
+pub(crate) fn apart(pool: &[Candidate], overall: usize, each: usize) -> Vec<Candidate> {
     let mut order: Vec<&Candidate> = pool.iter().filter(|c| c.fit.gain != 0.0).collect();
     order.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
     let mut chosen: Vec<Candidate> = Vec::new();

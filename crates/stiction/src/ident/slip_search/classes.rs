@@ -33,7 +33,7 @@ pub(super) const fn index_of(class: Class) -> usize {
 
 /// Classes that a choice of model allows, the simplest first.
 #[must_use]
-pub const fn classes_of(model: ModelChoice) -> &'static [Class] {
+pub(crate) const fn classes_of(model: ModelChoice) -> &'static [Class] {
     match model {
         ModelChoice::Fopdt => &[Class::First, Class::Integrating],
         ModelChoice::Sopdt => &[Class::Second, Class::LagIntegrating],

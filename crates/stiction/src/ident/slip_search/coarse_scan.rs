@@ -27,7 +27,7 @@ type Lanes = [f64; LANES];
 
 /// The scan of one stretch of a record behind one filter.
 #[derive(Debug, Clone)]
-pub struct CoarseScan {
+pub(crate) struct CoarseScan {
     rho: f64,
     taus: Lanes,
     a: Lanes,
@@ -71,14 +71,14 @@ impl CoarseScan {
     /// Scans of the first `points` of a record by the error behind `1 - rho q^-1`: the second one for long dead times, where
     /// they would leave little of a record that is counted for all alike.
     #[must_use]
-    pub fn of(problem: &Problem<'_>, rho: f64, points: usize) -> Vec<Self> {
+    pub(crate) fn of(problem: &Problem<'_>, rho: f64, points: usize) -> Vec<Self> {
         Self::of_filtered(problem, [rho; 2], points)
     }
 
     /// The same for a process with one lag more, `tau` points long: what is left of PV where that lag is undone,
     /// `pv - a pv(-1)` with its decay `a`, is the answer of a single lag.
     #[must_use]
-    pub fn behind_lag(problem: &Problem<'_>, tau: f64, points: usize) -> Vec<Self> {
+    pub(crate) fn behind_lag(problem: &Problem<'_>, tau: f64, points: usize) -> Vec<Self> {
         Self::of_filtered(problem, [libm::exp(-1.0 / tau), 0.0], points)
     }
 
@@ -127,7 +127,7 @@ impl CoarseScan {
 
     /// The best time constant and dead time for these steps.
     #[must_use]
-    pub fn look(&self, steps: &[Step], freedom: &Freedom) -> Seen {
+    pub(crate) fn look(&self, steps: &[Step], freedom: &Freedom) -> Seen {
         pulp::Arch::new().dispatch(Look { scan: self, steps, freedom })
     }
 

@@ -24,7 +24,7 @@ const LONGEST_STEP: f64 = 2.0;
 
 /// Fits processes behind the slips of candidates; keeps its buffers and counts.
 #[derive(Debug)]
-pub struct Evaluator<'a> {
+pub(crate) struct Evaluator<'a> {
     /// The record.
     pub problem: &'a Problem<'a>,
     /// The valve law.
@@ -56,7 +56,7 @@ struct Known {
 
 /// A process whose time constants are off the lattice.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Polished {
+pub(crate) struct Polished {
     /// Squared error.
     pub sse: f64,
     /// Coefficient of the unit response.
@@ -72,7 +72,7 @@ pub struct Polished {
 impl<'a> Evaluator<'a> {
     /// An evaluator for the first `points` of a record.
     #[must_use]
-    pub fn new(problem: &'a Problem<'a>, law: Law, class: Class, points: usize) -> Self {
+    pub(crate) fn new(problem: &'a Problem<'a>, law: Law, class: Class, points: usize) -> Self {
         Self {
             problem,
             law,
@@ -87,7 +87,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// Runs the valve; the kinetic bands that its slips leave open, or `None` where it moves too seldom or too often.
-    pub fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
+    pub(crate) fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
         let normalised = self.problem.normalised;
         self.signals += 1;
         self.held.clear();
@@ -110,12 +110,12 @@ impl<'a> Evaluator<'a> {
 
     /// The valve signal at hand.
     #[must_use]
-    pub const fn steps(&self) -> &Steps {
+    pub(crate) const fn steps(&self) -> &Steps {
         &self.steps
     }
 
     /// OP itself in the place of the valve signal.
-    pub fn follow_op(&mut self) {
+    pub(crate) fn follow_op(&mut self) {
         self.held.clear();
         self.known.clear();
         self.steps.of_signal(&self.problem.normalised.mean, &[]);
@@ -292,7 +292,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// A quick fit from the process `near`: refined only where its error lies below `enough`.
-    pub fn fit(
+    pub(crate) fn fit(
         &mut self,
         view: &mut View,
         [s, j]: [f64; 2],
@@ -310,7 +310,7 @@ impl<'a> Evaluator<'a> {
 
     /// Bands and first slip of the valve signal at hand with the best process, whose start is that of a single lag and whose
     /// kinetic band `freedom` says.
-    pub fn at_bands(
+    pub(crate) fn at_bands(
         &mut self,
         view: &mut View,
         bands: [f64; 2],
@@ -342,7 +342,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// A candidate of this class fitted until no step on the lattice helps.
-    pub fn settle(&mut self, view: &mut View, from: &Candidate) -> Option<Candidate> {
+    pub(crate) fn settle(&mut self, view: &mut View, from: &Candidate) -> Option<Candidate> {
         self.law = from.law;
         let freedom = self.slip(from.s, from.j, from.start)?;
         let fit = self.settle_fit(view, &from.fit, &freedom);
@@ -355,7 +355,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// The best process near `from` behind the valve signal at hand.
-    pub fn settle_fit(&mut self, view: &mut View, from: &LatticeFit, freedom: &Freedom) -> LatticeFit {
+    pub(crate) fn settle_fit(&mut self, view: &mut View, from: &LatticeFit, freedom: &Freedom) -> LatticeFit {
         let fit = self.at(view, from.places, from.delay, freedom, f64::INFINITY);
         let mut best = self.walk(view, fit, freedom, 8, true);
         for by in [-2, 2] {
@@ -372,7 +372,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// A candidate of any class refitted in the class `to`, where the evaluator stays.
-    pub fn in_class(&mut self, view: &mut View, from: &Candidate, to: Class) -> Option<Candidate> {
+    pub(crate) fn in_class(&mut self, view: &mut View, from: &Candidate, to: Class) -> Option<Candidate> {
         (self.law, self.class) = (from.law, to);
         if from.class == to {
             return self.settle(view, from);
@@ -427,7 +427,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// A candidate with the process that a coarse look likes: time constant (points) and lag, and its error.
-    pub fn seen(&self, [s, j]: [f64; 2], start: Start, sse: f64, tau: f64, lag: f64) -> Candidate {
+    pub(crate) fn seen(&self, [s, j]: [f64; 2], start: Start, sse: f64, tau: f64, lag: f64) -> Candidate {
         let place = lattice_index(tau);
         let (delay, gain) = (lag as usize, self.problem.sign);
         let fit = LatticeFit { sse, gain, fd: 0.0, places: [place; 2], delay, fraction: lag.fract() };
@@ -436,14 +436,14 @@ impl<'a> Evaluator<'a> {
 
     /// The process of a candidate with its time constants off the lattice: Newton's steps on differences of the error, dead
     /// time and everything linear solved on the way.
-    pub fn polish(&mut self, view: &View, of: &Candidate) -> Option<Polished> {
+    pub(crate) fn polish(&mut self, view: &View, of: &Candidate) -> Option<Polished> {
         (self.law, self.class) = (of.law, of.class);
         let freedom = self.slip(of.s, of.j, of.start)?;
         Some(self.polish_fit(view, &of.fit, &freedom))
     }
 
     /// The same behind the valve signal at hand.
-    pub fn polish_fit(&mut self, view: &View, of: &LatticeFit, freedom: &Freedom) -> Polished {
+    pub(crate) fn polish_fit(&mut self, view: &View, of: &LatticeFit, freedom: &Freedom) -> Polished {
         let places = self.clamp(of.places).map(f64::from);
         let mut best = self.off_lattice(view, places, of.delay, freedom);
         let mut at = places;
@@ -505,7 +505,7 @@ impl<'a> Evaluator<'a> {
 
     /// What a process leaves of PV on all points from the view's first on: constant, memory and loads fitted to those that
     /// count. Behind the valve signal of the candidate.
-    pub fn residual(&mut self, view: &View, of: &Candidate, process: &Polished) -> Vec<f64> {
+    pub(crate) fn residual(&mut self, view: &View, of: &Candidate, process: &Polished) -> Vec<f64> {
         (self.law, self.class) = (of.law, of.class);
         if self.slip(of.s, of.j, of.start).is_none() {
             return Vec::new();
@@ -514,7 +514,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// The same behind the valve signal at hand.
-    pub fn leftover(&self, view: &View, process: &Polished) -> Vec<f64> {
+    pub(crate) fn leftover(&self, view: &View, process: &Polished) -> Vec<f64> {
         let (class, n) = (self.class, view.points());
         let valve = self.signal(n, process.fd);
         let shape = shape_of(class, process.taus, process.lag);
@@ -584,7 +584,7 @@ fn newton(slope: [f64; 2], curve: [f64; 2], cross: f64, count: usize) -> [f64; 2
 
 /// Time constants and lag as the plain pass takes them.
 #[must_use]
-pub fn shape_of(class: Class, taus: [f64; 2], lag: f64) -> Shape {
+pub(crate) fn shape_of(class: Class, taus: [f64; 2], lag: f64) -> Shape {
     let [a, b] = taus.map(libm::log);
     match class {
         Class::First | Class::LagIntegrating => [a, lag, 0.0],

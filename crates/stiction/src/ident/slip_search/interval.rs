@@ -56,7 +56,7 @@ pub struct Found {
 /// The likelihood's intervals around `best`, whose process is `process` in this view, and a better candidate if one is met
 /// on the way. `rivals` are other candidates of its law and class; `index` is the share of the error that goes with the
 /// friction.
-pub fn spread(
+pub(crate) fn spread(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
     best: &Candidate,
@@ -106,7 +106,7 @@ pub fn spread(
 
 /// (s, j) in the middle of what the slips and the fitted fd leave open.
 #[must_use]
-pub fn centred(of: &Candidate) -> [f64; 2] {
+pub(crate) fn centred(of: &Candidate) -> [f64; 2] {
     let fd = of.fit.fd;
     let [s_cell, j_cell] = of.cells;
     let low = s_cell[0].max(j_cell[0] + 2.0 * fd);

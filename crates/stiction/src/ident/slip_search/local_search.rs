@@ -14,7 +14,7 @@ use crate::ident::evaluator::View;
 use crate::ident::random::{moved, normal, uniform};
 
 /// Smallest s that is looked at, spans.
-pub const LEAST_S: f64 = 1e-4;
+pub(crate) const LEAST_S: f64 = 1e-4;
 /// Cells to either side that a walk over neighbours meets.
 const CELLS: usize = 4;
 /// How far such a walk goes in s, share of s, and in j.
@@ -42,7 +42,7 @@ const OTHER_STEMS: f64 = 0.01;
 
 /// How near to the best one an error must lie for a process to be refined.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Nearness {
+pub(crate) struct Nearness {
     /// Least and most relative distance, of random steps.
     pub within: [f64; 2],
     /// The same times the share of PV that the best one leaves: where it leaves much, errors differ little from cell to
@@ -54,7 +54,7 @@ pub struct Nearness {
 
 impl Nearness {
     /// As the daemon searches.
-    pub const USUAL: Self = Self { within: [1e-3, 0.01], at_share: 3e-4, cells: 2.0 };
+    pub(crate) const USUAL: Self = Self { within: [1e-3, 0.01], at_share: 3e-4, cells: 2.0 };
 
     /// Error up to which a random step from a candidate is refined.
     fn of_step(&self, best: &Candidate, view: &View) -> f64 {
@@ -74,7 +74,7 @@ impl Nearness {
 
 /// A value just across an edge of a cell.
 #[must_use]
-pub fn across(cell: [f64; 2], up: bool) -> f64 {
+pub(crate) fn across(cell: [f64; 2], up: bool) -> f64 {
     if up { cell[1] * (1.0 + 1e-9) + 1e-12 } else { cell[0] * (1.0 - 1e-9) - 1e-12 }
 }
 
@@ -97,7 +97,7 @@ fn later(fit: &LatticeFit, by: f64) -> LatticeFit {
 }
 
 /// Random steps from a candidate, never to a worse one.
-pub fn random_steps(
+pub(crate) fn random_steps(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
     from: Candidate,
@@ -261,7 +261,7 @@ impl Neighbours<'_, '_, '_> {
 }
 
 /// Neighbouring cells, first slips and thresholds, `rounds` times or until none is better.
-pub fn neighbours(
+pub(crate) fn neighbours(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
     from: Candidate,
@@ -285,7 +285,7 @@ pub fn neighbours(
 }
 
 /// An even look along the ridge around a candidate, `reach` (a share of s) to either side: its best places.
-pub fn along_ridge(
+pub(crate) fn along_ridge(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
     around: &Candidate,
@@ -315,7 +315,12 @@ pub fn along_ridge(
 
 /// A walk along the ridge from cell to cell of s, `most` of them to a side: its best places. Where a stem moves seldom the
 /// error is a comb of cells a fraction of a per cent wide, none of which shows in the error of the next.
-pub fn along_cells(evaluator: &mut Evaluator<'_>, view: &mut View, around: &Candidate, most: usize) -> Vec<Candidate> {
+pub(crate) fn along_cells(
+    evaluator: &mut Evaluator<'_>,
+    view: &mut View,
+    around: &Candidate,
+    most: usize,
+) -> Vec<Candidate> {
     let mut pool = vec![*around];
     for up in [false, true] {
         let mut walk = RidgeWalk::new(evaluator, view, around, around.sse());

@@ -5,19 +5,19 @@
 //! finds where to begin, and PV's own kinks say where the slips may be; a [`local_search`] goes from cell to cell of equal slips; the best is carried to the whole record
 //! and tested there ([`stages`]).
 
-pub mod answer;
+pub(crate) mod answer;
 mod around;
-pub mod candidate;
+pub(crate) mod candidate;
 mod classes;
-pub mod coarse_scan;
+pub(crate) mod coarse_scan;
 mod cuts;
-pub mod evaluator;
-pub mod interval;
-pub mod local_search;
-pub mod part;
-pub mod problem;
+pub(crate) mod evaluator;
+pub(crate) mod interval;
+pub(crate) mod local_search;
+pub(crate) mod part;
+pub(crate) mod problem;
 mod read;
-pub mod rivals;
-pub mod scan;
-pub mod settings;
-pub mod stages;
+pub(crate) mod rivals;
+pub(crate) mod scan;
+pub(crate) mod settings;
+pub(crate) mod stages;

@@ -15,7 +15,7 @@ use crate::ident::fit::Freedom;
 pub(super) const FOLLOWERS: usize = 8;
 
 /// The best process of a class that takes OP as it is, from the best of many time constants and dead times of a single lag.
-pub fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class) -> Option<LatticeFit> {
+pub(crate) fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class) -> Option<LatticeFit> {
     let problem = evaluator.problem;
     let normalised = problem.normalised;
     evaluator.class = class;
@@ -56,7 +56,7 @@ const ON_RIDGES: (usize, f64, usize) = (4, 0.12, 16);
 
 impl Part<'_> {
     /// The best go to the best place along their ridges.
-    pub fn look_along_ridges(&mut self) {
+    pub(crate) fn look_along_ridges(&mut self) {
         let (count, reach, steps) = ON_RIDGES;
         for c in self.held.iter_mut().take(count) {
             let found = along_ridge(&mut self.evaluator, &mut self.view, c, reach, steps);
@@ -68,7 +68,7 @@ impl Part<'_> {
     }
 
     /// All go to another class, one more that was found there among them.
-    pub fn move_to(&mut self, class: Class, found: &Candidate) {
+    pub(crate) fn move_to(&mut self, class: Class, found: &Candidate) {
         let from: Vec<Candidate> = self.held.iter().take(FOLLOWERS).copied().collect();
         let moved = from.iter().chain([found]).filter_map(|c| self.evaluator.in_class(&mut self.view, c, class));
         let moved: Vec<Candidate> = moved.filter(|c| c.fit.gain != 0.0).collect();
@@ -103,19 +103,19 @@ pub(super) struct LawRound<'a> {
 }
 
 impl<'a> LawRound<'a> {
-    pub fn new(part: Part<'a>, rng: ChaCha8Rng, scan: Scan) -> Self {
+    pub(crate) fn new(part: Part<'a>, rng: ChaCha8Rng, scan: Scan) -> Self {
         let (finals, tested) = (Vec::new(), Vec::new());
         let (open, is_noise, faint) = (true, false, false);
         Self { part, rng, scan, stage: 0, finals, tested, open, is_noise, faint, stale: 0, without: None }
     }
 
     /// Least error on the whole record so far.
-    pub fn least(&self) -> f64 {
+    pub(crate) fn least(&self) -> f64 {
         self.finals.iter().map(Candidate::sse).fold(f64::INFINITY, f64::min)
     }
 
     /// Random steps for the best of the part, `count` of them after the first `skip`.
-    pub fn refine(&mut self, stage: usize, [count, skip]: [usize; 2], steps: usize, near: Nearness) {
+    pub(crate) fn refine(&mut self, stage: usize, [count, skip]: [usize; 2], steps: usize, near: Nearness) {
         let part = &mut self.part;
         part.held.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
         if stage == 2 {

@@ -7,7 +7,7 @@ use crate::ident::fit::Freedom;
 use crate::sim::steps::{Path, Steps};
 
 /// What stands between the stem and the process of a model structure, its parameters held: a rate limit, a characteristic.
-pub trait BehindStem: core::fmt::Debug + Sync {
+pub(crate) trait BehindStem: core::fmt::Debug + Sync {
     /// Turns the steps of a stem that begins at `start` (level, direction) into those of the signal that the process gets,
     /// over `points`; fd is no longer free where the signal is not linear in it.
     fn shape(&self, steps: &mut Steps, start: [f64; 2], freedom: &mut Freedom, points: usize);
@@ -45,7 +45,7 @@ const LAG_SHARE: f64 = 0.5;
 impl<'a> Problem<'a> {
     /// All of a record.
     #[must_use]
-    pub fn new(normalised: &'a NormalisedRecord, sign: f64) -> Self {
+    pub(crate) fn new(normalised: &'a NormalisedRecord, sign: f64) -> Self {
         let path = Path::new(normalised.path.clone(), normalised.per_point);
         let moves = [LEAST_MOVES, MOST_MOVES];
         let records = places_of_records(&normalised.path);
@@ -54,7 +54,7 @@ impl<'a> Problem<'a> {
 
     /// Starts worth trying with the static band `fs`: the stem on OP's first value, and beside it by shares of the band.
     #[must_use]
-    pub fn starts(&self, fs: f64, shares: &[f64]) -> Vec<Start> {
+    pub(crate) fn starts(&self, fs: f64, shares: &[f64]) -> Vec<Start> {
         let mut out: Vec<Start> = Vec::with_capacity(shares.len());
         let Some(first) = self.normalised.path.first() else { return out };
         for share in shares {
@@ -80,7 +80,7 @@ impl<'a> Problem<'a> {
 
     /// Starts whose first slip goes up, or down, within so many of OP's running extremes of a point.
     #[must_use]
-    pub fn starts_near(&self, point: f64, up: bool, within: usize) -> Vec<Start> {
+    pub(crate) fn starts_near(&self, point: f64, up: bool, within: usize) -> Vec<Start> {
         let places = &self.records[usize::from(!up)];
         let at = (point.max(0.0) * self.normalised.per_point as f64) as u32;
         let middle = places.partition_point(|place| *place < at);
@@ -90,19 +90,19 @@ impl<'a> Problem<'a> {
 
     /// Points.
     #[must_use]
-    pub fn points(&self) -> usize {
+    pub(crate) fn points(&self) -> usize {
         self.normalised.pv.len()
     }
 
     /// PV, deviations.
     #[must_use]
-    pub fn pv(&self) -> &[f64] {
+    pub(crate) fn pv(&self) -> &[f64] {
         &self.normalised.pv
     }
 
     /// PV's first `points` behind the filter `1 - rho q^-1`.
     #[must_use]
-    pub fn view(&self, rho: f64, points: usize) -> View {
+    pub(crate) fn view(&self, rho: f64, points: usize) -> View {
         let from = self.normalised.from;
         let whole = [[from, points]];
         let counted = if self.counted.is_empty() { &whole[..] } else { &self.counted };
@@ -112,7 +112,7 @@ impl<'a> Problem<'a> {
 
     /// First point of OP that lies so far from its first value, spans.
     #[must_use]
-    pub fn first_far(&self, spans: f64) -> usize {
+    pub(crate) fn first_far(&self, spans: f64) -> usize {
         let path = &self.normalised.path;
         let far = |first: &f64| path.iter().position(|u| (u - first).abs() > spans);
         path.first().and_then(far).unwrap_or(0) / self.normalised.per_point
@@ -120,7 +120,7 @@ impl<'a> Problem<'a> {
 
     /// Greatest place of a time constant on the lattice.
     #[must_use]
-    pub fn most_place(&self, class: Class) -> i32 {
+    pub(crate) fn most_place(&self, class: Class) -> i32 {
         let normalised = self.normalised;
         let tau = if class.integrates() {
             (LAG_PERIODS * normalised.period).min(LAG_SHARE * self.points() as f64).max(4.0)

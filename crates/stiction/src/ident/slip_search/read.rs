@@ -43,7 +43,7 @@ pub struct Reading {
 
 /// What PV's kinks suggest, most consistent first; empty where it shows none.
 #[must_use]
-pub fn readings(problem: &Problem<'_>) -> Vec<Reading> {
+pub(crate) fn readings(problem: &Problem<'_>) -> Vec<Reading> {
     let normalised = problem.normalised;
     let points = problem.points().min(MOST_POINTS);
     let (op, pv) = (&normalised.mean[..points], &problem.pv()[..points]);

@@ -17,7 +17,7 @@ const RULED_OUT: f64 = 1.5;
 
 /// All bands that the search held, `seen` under the answer's law and the `best` of each other law under its own, refitted to
 /// `view` with a process of the answer's class; best first.
-pub fn refitted(
+pub(crate) fn refitted(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
     answer: &Candidate,
@@ -40,7 +40,7 @@ pub fn refitted(
 
 /// Whether all of the `rivals` that have other bands than the `answer` leave far more than it; not without rivals.
 #[must_use]
-pub fn are_ruled_out(answer: &Candidate, rivals: &[Candidate]) -> bool {
+pub(crate) fn are_ruled_out(answer: &Candidate, rivals: &[Candidate]) -> bool {
     !rivals.is_empty()
         && !rivals.iter().any(|rival| rival.sse() < RULED_OUT * answer.sse() && has_other_bands(rival, answer))
 }

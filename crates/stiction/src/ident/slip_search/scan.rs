@@ -60,7 +60,7 @@ pub struct Scan {
 impl Scan {
     /// A scan of what the evaluator looks at, by the error behind `1 - rho q^-1`; `whole` is what no model leaves.
     #[must_use]
-    pub fn new(evaluator: &Evaluator<'_>, rho: f64, whole: f64) -> Self {
+    pub(crate) fn new(evaluator: &Evaluator<'_>, rho: f64, whole: f64) -> Self {
         Self::of(evaluator, CoarseScan::of(evaluator.problem, rho, evaluator.points), whole)
     }
 
@@ -70,7 +70,7 @@ impl Scan {
     }
 
     /// A look at the contour solver's grid, then an even one.
-    pub fn run(
+    pub(crate) fn run(
         &mut self,
         evaluator: &mut Evaluator<'_>,
         fineness_pct: f64,
@@ -102,7 +102,7 @@ impl Scan {
 
     /// An even look for a process whose second lag is `tau` points long: its best places in that class, best first, and how many
     /// valve signals were looked at. What two lags make of the right slips looks wrong to a single one.
-    pub fn behind_lag(
+    pub(crate) fn behind_lag(
         evaluator: &mut Evaluator<'_>,
         tau: f64,
         settings: &ScanSettings,
@@ -124,7 +124,7 @@ impl Scan {
 
     /// Candidates that straight looks through the best places and, where there are any, looks around what was read from PV
     /// add to those worth a fit: closer looks, for records whose slips the even look does not find.
-    pub fn closer(
+    pub(crate) fn closer(
         &mut self,
         evaluator: &mut Evaluator<'_>,
         readings: &[Reading],
@@ -202,14 +202,14 @@ impl Scan {
 
     /// Candidates worth a fit, best first.
     #[must_use]
-    pub fn best(&self, settings: &ScanSettings) -> Vec<Candidate> {
+    pub(crate) fn best(&self, settings: &ScanSettings) -> Vec<Candidate> {
         apart(&self.pool, settings.keep[0], settings.keep[1])
     }
 
     /// The best of every half octave of s, short and long dead times apart: a model that lacks an effect often prefers slips of
     /// quite another size than the right ones.
     #[must_use]
-    pub fn of_every_size(&self, evaluator: &Evaluator<'_>) -> Vec<Candidate> {
+    pub(crate) fn of_every_size(&self, evaluator: &Evaluator<'_>) -> Vec<Candidate> {
         let short = 0.25 * evaluator.problem.normalised.limits.lag[1];
         let class = |c: &Candidate| ((2.0 * libm::log2(c.s)).floor() as i32, c.fit.lag() < short);
         let mut best: BTreeMap<(i32, bool), Candidate> = BTreeMap::new();

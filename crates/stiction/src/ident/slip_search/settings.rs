@@ -5,7 +5,7 @@ use super::local_search::Nearness;
 
 /// The coarse scan of one round.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ScanSettings {
+pub(crate) struct ScanSettings {
     /// Places that the contour solver may ask for, more where its grid has more.
     pub budget: u64,
     /// Smallest s, spans.
@@ -20,7 +20,7 @@ pub struct ScanSettings {
 
 /// One round of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RoundSettings {
+pub(crate) struct RoundSettings {
     /// Filter of the error that is searched by, `1 - rho q^-1`: differences forget a wrong slip, so the right one is found
     /// from farther away.
     pub rho: f64,
@@ -38,7 +38,7 @@ pub struct RoundSettings {
 
 /// Searches of later cuts of the record: what a part at its beginning cannot show, one from its middle may.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CutSettings {
+pub(crate) struct CutSettings {
     /// Cuts.
     pub count: usize,
     /// Distance between the beginnings of two cuts, and length of a cut, shares of the record.
@@ -51,7 +51,7 @@ pub struct CutSettings {
 
 /// A whole search.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SearchSettings {
+pub(crate) struct SearchSettings {
     /// Rounds, in order.
     pub rounds: Vec<RoundSettings>,
     /// Before the second round, where friction shows.
@@ -93,7 +93,7 @@ const ROUND: RoundSettings = RoundSettings {
 impl SearchSettings {
     /// As the daemon searches.
     #[must_use]
-    pub fn usual() -> Self {
+    pub(crate) fn usual() -> Self {
         let wide = ScanSettings { sizes: 90, jumps: 8, keep: [24, 6], ..SCAN };
         let rounds = vec![
             ROUND,
@@ -128,7 +128,7 @@ impl SearchSettings {
     /// One round with less of everything, for one of many structures that are held against each other: the likely ones are
     /// searched as usual afterwards.
     #[must_use]
-    pub fn brief() -> Self {
+    pub(crate) fn brief() -> Self {
         let scan = ScanSettings { budget: 60, sizes: 24, jumps: 4, keep: [8, 2], ..SCAN };
         let round = RoundSettings { scan, stages: &[(3, 16), (4, 24)], last: 20, ..ROUND };
         Self { rounds: vec![round], cells_along: 0, reads_pv: false, ..Self::usual() }

@@ -111,7 +111,7 @@ pub struct Search<'s, 'a> {
 impl<'s, 'a> Search<'s, 'a> {
     /// A search that has found nothing yet.
     #[must_use]
-    pub fn new(problem: &'a Problem<'a>, request: &'s Request<'s>, settings: &'s SearchSettings) -> Self {
+    pub(crate) fn new(problem: &'a Problem<'a>, request: &'s Request<'s>, settings: &'s SearchSettings) -> Self {
         let points = problem.points();
         let found = Found {
             best: Vec::new(),
@@ -138,13 +138,13 @@ impl<'s, 'a> Search<'s, 'a> {
     }
 
     /// The plain view of the whole record, and the evaluator of it.
-    pub fn whole(&mut self) -> (&mut Evaluator<'a>, &mut View) {
+    pub(crate) fn whole(&mut self) -> (&mut Evaluator<'a>, &mut View) {
         (&mut self.whole, &mut self.plain)
     }
 
     /// Error models and valve signals computed so far.
     #[must_use]
-    pub fn evaluations(&self) -> u64 {
+    pub(crate) fn evaluations(&self) -> u64 {
         self.found.evaluations + self.whole.evaluations
     }
 
@@ -155,7 +155,7 @@ impl<'s, 'a> Search<'s, 'a> {
 
     /// Searches.
     #[must_use]
-    pub fn run(mut self) -> (Found, Self) {
+    pub(crate) fn run(mut self) -> (Found, Self) {
         let mut agreeing = 0;
         for (number, round) in self.settings.rounds.iter().enumerate() {
             let before = self.best_sse();
@@ -530,7 +530,7 @@ impl<'s, 'a> Search<'s, 'a> {
     }
 
     /// Whether a candidate, fitted to the plain error of the whole record, leaves nothing but noise.
-    pub fn is_noise(&mut self, of: &Candidate) -> bool {
+    pub(crate) fn is_noise(&mut self, of: &Candidate) -> bool {
         if of.sse() < ROUNDING * self.plain.count() {
             return true;
         }
@@ -540,7 +540,7 @@ impl<'s, 'a> Search<'s, 'a> {
     }
 
     /// Least plain error without friction in a class, computed once.
-    pub fn without(&mut self, class: Class) -> f64 {
+    pub(crate) fn without(&mut self, class: Class) -> f64 {
         let known = self.without[index_of(class)];
         known.unwrap_or_else(|| {
             let found = frictionless(&mut self.whole, &mut self.plain, class);
