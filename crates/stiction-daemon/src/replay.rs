@@ -199,16 +199,12 @@ impl Replay {
                 let _ = self.engine.run_gap(id, by.as_deref(), false, &mut self.events);
             }
             RecordedInput::GapNeighbours { number, neighbours } => {
-                if let Some((request, _)) =
-                    self.gaps.entry(id).or_default().iter_mut().find(|(r, _)| r.number == number)
-                {
+                if let Some((request, _)) = self.waiting_gap(id, number) {
                     request.neighbours = neighbours.iter().map(RecordedNeighbour::neighbour).collect();
                 }
             }
             RecordedInput::GapEarlier { number, windows } => {
-                if let Some((request, _)) =
-                    self.gaps.entry(id).or_default().iter_mut().find(|(r, _)| r.number == number)
-                {
+                if let Some((request, _)) = self.waiting_gap(id, number) {
                     request.earlier = windows;
                 }
             }
@@ -232,8 +228,9 @@ impl Replay {
                 }
             }
             RecordedInput::GapCut { number, evaluations } => {
-                let waiting = self.gaps.entry(id).or_default().iter_mut();
-                waiting.filter(|(r, _)| r.number == number).for_each(|(_, cut)| *cut = Some(evaluations));
+                if let Some((_, cut)) = self.waiting_gap(id, number) {
+                    *cut = Some(evaluations);
+                }
             }
             RecordedInput::Taken | RecordedInput::Released => bail!(
                 "{}: the loop changed hands between daemons of a [cluster], which this version no longer has; read the \
@@ -242,6 +239,11 @@ impl Replay {
             ),
         }
         Ok(())
+    }
+
+    /// A loop's diagnosis that was asked for and not made yet, with the evaluations at which its search is ended.
+    fn waiting_gap(&mut self, id: LoopId, number: u64) -> Option<&mut (GapRequest, Option<u64>)> {
+        self.gaps.get_mut(&id)?.iter_mut().find(|(request, _)| request.number == number)
     }
 
     /// Makes the loop's oldest diagnosis, whose recorded document stands here.

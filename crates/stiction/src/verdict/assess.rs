@@ -228,9 +228,9 @@ fn decide(out: &mut Assessment, opinion: Opinion, heard: &Features, sized: &Sigh
     let rule = Rule::shipped();
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
     let indicator = |name| {
-        let voice = rule.voice(name, heard);
-        let vote = (voice.contribution != 0.0).then_some(voice.contribution > 0.0);
-        Indicator { name, score: voice.score, vote, contribution: voice.contribution }
+        let scored = rule.indicator_score(name, heard);
+        let vote = (scored.contribution != 0.0).then_some(scored.contribution > 0.0);
+        Indicator { name, score: scored.score, vote, contribution: scored.contribution }
     };
     out.indicators = names.map(indicator).collect();
     let reading = controller::read(record);

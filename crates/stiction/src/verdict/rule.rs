@@ -110,7 +110,7 @@ pub type Features = BTreeMap<String, f64>;
 
 /// What one feature says.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Voice {
+pub(crate) struct IndicatorScore {
     /// Its figure.
     pub score: Option<f64>,
     /// Its part of the logit, against its mean; 0 where it is silent or does not count.
@@ -175,15 +175,15 @@ impl Rule {
     #[must_use]
     pub fn opinion(&self, features: &Features) -> Opinion {
         let base = self.mean(Logistic::base);
-        let said: f64 = self.names().map(|name| self.voice(name, features).contribution).sum();
+        let said: f64 = self.names().map(|name| self.indicator_score(name, features).contribution).sum();
         Opinion { base, logit: base + said, cuts: self.cuts }
     }
 
     /// What one feature says.
     #[must_use]
-    pub(crate) fn voice(&self, name: &str, features: &Features) -> Voice {
+    pub(crate) fn indicator_score(&self, name: &str, features: &Features) -> IndicatorScore {
         let score = features.get(name).copied();
-        Voice { score, contribution: score.map_or(0.0, |x| self.mean(|part| part.says(name, x))) }
+        IndicatorScore { score, contribution: score.map_or(0.0, |x| self.mean(|part| part.says(name, x))) }
     }
 
     /// The place of the window that answers for a record, and what the rule makes of it; `None` without a window.
@@ -324,7 +324,10 @@ mod tests {
         let all = of(&[("index", 1.0), ("travel", 0.75)]);
         let opinion = rule.opinion(&all);
         assert_eq!((opinion.base, opinion.logit), (1.75, 3.25));
-        assert_eq!(rule.voice("index", &all).contribution + rule.voice("travel", &all).contribution, 1.5);
+        assert_eq!(
+            rule.indicator_score("index", &all).contribution + rule.indicator_score("travel", &all).contribution,
+            1.5
+        );
         assert!(opinion.sticks() && opinion.alarms());
         let silent = rule.opinion(&of(&[("index", 0.25), ("unknown", 9.0)]));
         assert_eq!(silent.logit, 1.75);
