@@ -1,4 +1,4 @@
-//! Gap diagnoses with neighbours: offered by area, recorded, and replayed to the byte.
+//! Gap diagnoses with neighbours: offered by area or as the loop upstream, recorded, and replayed to the byte.
 
 use std::sync::{Arc, Mutex};
 
@@ -13,7 +13,8 @@ use stiction_monitor::config::Config;
 use stiction_monitor::engine::GapRequest;
 use stiction_runtime::clock::Clock;
 
-use super::refill::replays_to_the_byte;
+use super::refill::{chains_replay_to_the_byte, replays_to_the_byte};
+use super::repairs::{STICKS, Site, Work, wired};
 
 const TARGET: &str = "TARGET";
 const DRIVER: &str = "DRIVER";
@@ -77,4 +78,24 @@ fn a_diagnosis_is_offered_the_loops_of_its_area_and_replays_to_the_byte() {
     stage.finish();
     drop(stage);
     assert_eq!(replays_to_the_byte(dir.path()), 4, "the diagnosis, and the estimates at the end");
+}
+
+#[test]
+fn a_diagnosis_that_nobody_asked_for_is_offered_the_loop_upstream_and_names_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let settings =
+        format!("[gap]\nbudget_evaluations = 3000\n[[loop]]\nname = \"{TARGET}\"\nupstream = [\"{DRIVER}\"]\n");
+    let loops = vec![wired(DRIVER, 18.0, None, 1), wired(TARGET, 10.0, Some((0, 0.8)), 2)];
+    let mut site = Site::start(dir.path(), &settings, loops);
+    // The loop's own model is known by the time that the valve upstream begins to stick.
+    let plan: [Work; 2] = [(0, TARGET, STICKS), (7, DRIVER, STICKS)];
+    let gaps: Vec<Value> = (0..12).flat_map(|hop| site.hop(hop, &plan).gaps).collect();
+    let of_target: Vec<&Value> = gaps.iter().filter(|gap| gap["loop"] == TARGET).collect();
+    let [gap] = of_target[..] else { panic!("{gaps:#?}") };
+    assert_eq!((&gap["reason"], &gap["by"]), (&"fit_fell".into(), &Value::Null));
+    assert_eq!(gap["neighbours"]["best"], DRIVER, "{gap}");
+    assert_eq!(gap["cause"]["id"], format!("neighbour({DRIVER})"), "{}", gap["cause"]);
+    site.stage.finish();
+    drop(site);
+    assert!(chains_replay_to_the_byte(dir.path()) > 10);
 }

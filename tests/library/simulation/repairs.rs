@@ -9,11 +9,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
+use stiction::gap::Serial;
 use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveModel};
 use stiction::sim::controller::{Action, PidSettings};
 use stiction::sim::disturbance::Disturbance;
 use stiction::sim::process::ProcessModel;
 use stiction::sim::valve::he_step;
+use stiction_daemon::gaps::Outcome;
 use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::alarm::State;
@@ -29,11 +31,11 @@ const HOP_S: i64 = 14_400;
 const REST_OP: f64 = 50.0;
 const SP: f64 = 61.0;
 /// Static and kinetic band of a valve, OP units.
-const STICKS: [f64; 2] = [5.0, 2.0];
+pub const STICKS: [f64; 2] = [5.0, 2.0];
 const HEALTHY: [f64; 2] = [0.0; 2];
 
 /// A loop, which other loop's flow acts on it, and how much.
-struct Wired {
+pub struct Wired {
     name: &'static str,
     closed: ClosedLoop,
     from: Option<(usize, f64)>,
@@ -41,7 +43,7 @@ struct Wired {
     stem: f64,
 }
 
-fn wired(name: &'static str, tau: f64, from: Option<(usize, f64)>, seed: u64) -> Wired {
+pub fn wired(name: &'static str, tau: f64, from: Option<(usize, f64)>, seed: u64) -> Wired {
     let model = LoopModel {
         ts_s: TS_S,
         process: ProcessModel { gain: 2.0, tau, tau2: 0.0, dead_time: 4.0, integrating: false },
@@ -65,7 +67,7 @@ fn wired(name: &'static str, tau: f64, from: Option<(usize, f64)>, seed: u64) ->
 }
 
 /// What happens to a valve at the beginning of a hop.
-type Work = (usize, &'static str, [f64; 2]);
+pub type Work = (usize, &'static str, [f64; 2]);
 
 /// Hops of one round of work: A1 sticks first and moves A4's loop, whose own valve begins to stick, too; then B1 sticks.
 const ROUND: usize = 18;
@@ -84,40 +86,34 @@ fn plan(rounds: usize) -> Vec<Work> {
 
 /// What is seen after a hop.
 #[derive(Debug)]
-struct Seen {
+pub struct Seen {
     states: BTreeMap<&'static str, State>,
     /// Groups that there are now, and the latest one with its members and its source.
     groups: i64,
     latest: Option<Value>,
+    /// Diagnoses that were published, none of which a person asked for.
+    pub gaps: Vec<Value>,
 }
 
-struct Site {
-    stage: SimDaemon,
+/// A daemon, and loops that are simulated for it.
+pub struct Site {
+    pub stage: SimDaemon,
     clock: Clock,
     loops: Vec<Wired>,
     scans: i64,
 }
 
 impl Site {
-    fn start(dir: &Path) -> Self {
+    /// `settings` come after those of site, windows and alarms.
+    pub fn start(dir: &Path, settings: &str, loops: Vec<Wired>) -> Self {
         let text = format!(
-            "[site]\nprefix = \"p\"\n[window]\nhop_s = {HOP_S}.0\n[alarm]\nraise = [2, 2]\n[gap]\nenabled = false\n\
-             [recording]\ndir = {:?}\n",
+            "[site]\nprefix = \"p\"\n[window]\nhop_s = {HOP_S}.0\n[alarm]\nraise = [2, 2]\n\
+             [recording]\ndir = {:?}\n{settings}",
             dir.to_str().unwrap()
         );
         let clock = Clock::standing(super::START_NS);
         let (config, disk) = (Config::parse(&text).unwrap(), Arc::new(SystemDisk) as Arc<dyn Disk>);
         let stage = SimDaemon::start(config, &text, &clock, &disk, no_receiver).unwrap();
-        let loops = vec![
-            wired("A1", 18.0, None, 1),
-            wired("A2", 10.0, Some((0, 0.8)), 2),
-            wired("A3", 24.0, Some((0, -0.7)), 3),
-            wired("A4", 16.0, Some((0, 0.9)), 4),
-            wired("B1", 28.0, None, 5),
-            wired("B2", 14.0, Some((4, 0.8)), 6),
-            wired("B3", 20.0, Some((4, -0.9)), 7),
-            wired("C1", 18.0, None, 8),
-        ];
         Self { stage, clock, loops, scans: 0 }
     }
 
@@ -142,7 +138,7 @@ impl Site {
     }
 
     /// A hop with the work that is due at its beginning.
-    fn hop(&mut self, hop: usize, plan: &[Work]) -> Seen {
+    pub fn hop(&mut self, hop: usize, plan: &[Work]) -> Seen {
         for (_, name, valve) in plan.iter().filter(|(at, ..)| *at == hop) {
             self.loops.iter_mut().filter(|one| one.name == *name).for_each(|one| one.valve = *valve);
         }
@@ -150,19 +146,22 @@ impl Site {
             self.scan();
             while self.stage.work(1, |_, request| Some(crate::answers::compute(request).assessment)) > 0 {}
             self.stage.compare();
+            self.stage.diagnose(|request| Outcome::Done(Box::new(request.compute(&Serial).unwrap()), None));
         }
         self.stage.record();
         assert!(self.stage.keep());
         self.clock.advance(Duration::from_secs(HOP_S as u64));
-        let mut latest = None;
+        let (mut latest, mut gaps) = (None, Vec::new());
         for publication in self.stage.published() {
             let document: Value = serde_json::from_slice(&publication.document.unwrap()).unwrap();
-            if publication.kind == Kind::Group {
-                latest = Some(document);
+            match publication.kind {
+                Kind::Group => latest = Some(document),
+                Kind::Gap => gaps.push(document),
+                _ => {}
             }
         }
         let states = self.loops.iter().map(|one| (one.name, shown(&self.stage, one.name).unwrap()));
-        Seen { states: states.collect(), groups: self.stage.metrics().groups.get(), latest }
+        Seen { states: states.collect(), groups: self.stage.metrics().groups.get(), latest, gaps }
     }
 }
 
@@ -200,7 +199,17 @@ fn check(round: &[Seen]) {
 #[test]
 fn groups_come_and_go_with_the_valves_that_stick_and_no_healthy_loop_has_an_alarm() {
     let dir = tempfile::tempdir().unwrap();
-    let mut site = Site::start(dir.path());
+    let loops = vec![
+        wired("A1", 18.0, None, 1),
+        wired("A2", 10.0, Some((0, 0.8)), 2),
+        wired("A3", 24.0, Some((0, -0.7)), 3),
+        wired("A4", 16.0, Some((0, 0.9)), 4),
+        wired("B1", 28.0, None, 5),
+        wired("B2", 14.0, Some((4, 0.8)), 6),
+        wired("B3", 20.0, Some((4, -0.9)), 7),
+        wired("C1", 18.0, None, 8),
+    ];
+    let mut site = Site::start(dir.path(), "[gap]\nenabled = false\n", loops);
     let rounds = if std::env::var_os("STICTIOND_LONG").is_some() { 3 } else { 1 };
     let plan = plan(rounds);
     for round in 0..rounds {
