@@ -133,6 +133,7 @@ pub struct DiagnosedWindow {
 /// # Errors
 /// A window that does not fit the others, with its name.
 pub fn decide_together(windows: &[DiagnosedWindow], settings: &GapSettings) -> Result<(usize, Diagnosed), PoolError> {
+    check_distinct(windows)?;
     let each: Vec<pool::Window> =
         windows.iter().map(|w| pool::Window::of(&w.source, &w.alone.record, &w.alone.diagnosis)).collect();
     let together = pool::decide_together(&each)?;
@@ -144,4 +145,16 @@ pub fn decide_together(windows: &[DiagnosedWindow], settings: &GapSettings) -> R
     let mut document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
     document.pooled = pool::notes(&each, together.clearest);
     Ok((together.clearest, Diagnosed { document, record, diagnosis }))
+}
+
+/// The same samples under two names would count twice.
+fn check_distinct(windows: &[DiagnosedWindow]) -> Result<(), PoolError> {
+    let is_same = |x: &Record, y: &Record| x.op_path == y.op_path && x.pv == y.pv;
+    for (at, window) in windows.iter().enumerate() {
+        if let Some(other) = windows[..at].iter().find(|other| is_same(&other.alone.record, &window.alone.record)) {
+            let [source_name, other] = [&window.source, &other.source].map(String::clone);
+            return Err(PoolError::Twice { source_name, other });
+        }
+    }
+    Ok(())
 }

@@ -106,9 +106,11 @@ pub struct Together {
 /// Decides from the evidence of all windows.
 ///
 /// # Errors
-/// Fewer than two windows, or the same data twice.
+/// Fewer than two windows.
 pub fn decide_together(windows: &[Window]) -> Result<Together, PoolError> {
-    check(windows)?;
+    if windows.len() < 2 {
+        return Err(PoolError::Single);
+    }
     let evidence = pooled(&windows.iter().map(|w| &w.evidence).collect::<Vec<_>>());
     let decision = decide(&evidence, &[], Calibration::shipped());
     let mut cause = decision.cause.clone();
@@ -139,20 +141,6 @@ impl Diagnosis {
         diagnosis.cause = together.cause.clone();
         diagnosis
     }
-}
-
-fn check(windows: &[Window]) -> Result<(), PoolError> {
-    if windows.len() < 2 {
-        return Err(PoolError::Single);
-    }
-    for (at, window) in windows.iter().enumerate() {
-        let is_same = |w: &&Window| w.samples == window.samples && w.evidence == window.evidence;
-        if let Some(other) = windows[..at].iter().find(is_same) {
-            let [source_name, other] = [&window.source, &other.source].map(String::clone);
-            return Err(PoolError::Twice { source_name, other });
-        }
-    }
-    Ok(())
 }
 
 /// The window whose own answer is the answer of all with the highest probability, else the one in which that effect leads most.

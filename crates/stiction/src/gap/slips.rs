@@ -76,13 +76,7 @@ pub(crate) fn search_slips(problem: &Problem, search: &Search, length: Length, s
     };
     let settings = match length {
         Length::Brief => SearchSettings::brief(),
-        Length::Rounds(rounds) => {
-            let mut settings = SearchSettings::usual();
-            settings.rounds.truncate(rounds);
-            // The decision's probabilities were calibrated without them.
-            settings.cuts.count = 0;
-            settings
-        }
+        Length::Rounds(rounds) => SearchSettings::in_rounds(rounds),
     };
     let (found, _) = SlipSearch::new(&slip_problem, &request, &settings).run();
     places(problem, &search.structure, &normalised, &found, p)

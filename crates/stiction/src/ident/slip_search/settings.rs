@@ -125,6 +125,14 @@ impl SearchSettings {
         }
     }
 
+    /// Only so many rounds, and no cuts: the probabilities of gap decisions were calibrated without cuts.
+    #[must_use]
+    pub(crate) fn in_rounds(count: usize) -> Self {
+        let mut settings = Self { cuts: CutSettings { count: 0, ..CUTS }, ..Self::usual() };
+        settings.rounds.truncate(count);
+        settings
+    }
+
     /// One round with less of everything, for one of many structures that are held against each other: the likely ones are
     /// searched as usual afterwards.
     #[must_use]
