@@ -4,7 +4,6 @@
 //! process responds with a continuous dead time, and all linear parameters (gain, kinetic band, bias, initial state) are solved
 //! exactly. The search is seeded, bounded in work and scale-free.
 
-mod again;
 pub(crate) mod candidate;
 mod choice;
 pub mod class;
@@ -18,7 +17,6 @@ pub(crate) mod hypothetical;
 pub(crate) mod least_squares;
 pub(crate) mod normalise;
 pub mod one_step;
-mod order;
 mod quantify;
 pub(crate) mod random;
 pub mod region;

@@ -10,18 +10,22 @@ mod map;
 pub use draws::{Optimum, RESAMPLES, RESTARTS};
 pub use map::{Cell, ErrorMap};
 
-use super::again::again;
-use super::candidate::{Candidate, CandidateFitter, NormalisedRecord};
+use super::candidate::{Candidate, CandidateFitter, Effort, NormalisedRecord};
 use super::choice::Options;
 use super::class::{Class, Shape};
 use super::fit::Target;
 use super::frictionless;
 use super::normalise::normalise;
-use super::order::{EARNED, FITTED_SHARE, reduced};
 use super::quantify::Estimate;
+use super::slip_search::answer::{EARNED, FITTED_SHARE};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{Law, Sequence};
+
+/// Gauss-Newton steps for each first position of the stem.
+const GAUSS_NEWTON_STEPS: usize = 6;
+/// First positions of the stem that are tried.
+const STEM_STARTS: usize = 9;
 
 /// Valve and process of an estimate.
 #[derive(Debug, Clone, PartialEq)]
@@ -148,7 +152,7 @@ impl<'a> FitPlots<'a> {
         let plain = frictionless::best(&normalised, &target, class, sign, 1).map_or(told, |f| f.shape);
         let bands = [model.s / span, model.j.clamp(0.0, model.s) / span];
         let candidate =
-            again(&mut CandidateFitter::new(&normalised, law, class, &target, sign), bands, &[told, plain])?;
+            refit(&mut CandidateFitter::new(&normalised, law, class, &target, sign), bands, &[told, plain])?;
         Some(Self { record, options: *options, normalised, target, candidate, law, class, sign, span, deviation })
     }
 
@@ -237,6 +241,25 @@ impl<'a> FitPlots<'a> {
         });
         OrderChart { figures: figures.collect(), fitted_share: FITTED_SHARE, must_remove: EARNED }
     }
+}
+
+/// The best candidate with the bands (s, j), spans of OP, its process fitted from the best of `shapes`.
+fn refit(fits: &mut CandidateFitter<'_>, [s, j]: [f64; 2], shapes: &[Shape]) -> Option<Candidate> {
+    let effort = Effort::of(GAUSS_NEWTON_STEPS);
+    let mut best: Option<Candidate> = None;
+    for start in fits.normalised.starts(0.5 * (s + j), STEM_STARTS) {
+        let fitted = fits.fit(s, j, start, shapes, effort);
+        if let Some(fitted) = fitted.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)) {
+            best = Some(fitted);
+        }
+    }
+    fits.settle(&best?)
+}
+
+/// The simpler class' shape whose lag takes the place of the second lag.
+fn reduced(class: Class, simpler: Class, shape: &Shape) -> Shape {
+    let lost = libm::exp(shape[if class == Class::Second { 1 } else { 0 }]);
+    simpler.start(libm::exp(shape[0]), class.lag(shape) + lost)
 }
 
 #[cfg(test)]

@@ -12,11 +12,14 @@ use crate::ident::choice::{ModelChoice, Options};
 use crate::ident::class::Class;
 use crate::ident::evaluator::View;
 use crate::ident::fit::{Fitted, Target};
-use crate::ident::order::{EARNED, FITTED_SHARE};
 use crate::ident::random::seeded_rng;
 use crate::ident::slip_search::evaluator::{Evaluator, Polished, shape_of};
 use crate::signal::stats;
 
+/// Share of the error on data not fitted to that a second lag must remove to stay in the answer.
+pub(crate) const EARNED: f64 = 0.01;
+/// Share of a record that the held-out fit is made to.
+pub(crate) const FITTED_SHARE: f64 = 0.6;
 /// Lag-1 autocorrelation of a residual from which it is filtered, and the strongest filter.
 const COLOURED: f64 = 0.2;
 const MOST_RHO: f64 = 0.98;
