@@ -22,6 +22,7 @@ mod obstacles;
 mod openapi;
 mod pages;
 mod promises;
+mod public_items;
 mod simulation;
 mod tidy;
 mod verdict_texts;

@@ -75,15 +75,15 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
     }
     let sights = Sights::of(record, windows, params, seen);
     let Some((window, opinion)) = Rule::shipped().answer(&sights.figures()) else { return out };
-    let (heard, sized) = sights.chosen(window, params);
+    let (features, sized) = sights.chosen(window, params);
     out.pv_span = Some(stats::span(&record.pv)).filter(|span| span.is_finite());
     if let Some(e) = &sized.evidence.estimate {
         fill(&mut out, e, sized.record, params);
     }
-    decide(&mut out, opinion, &heard, &sized);
+    decide(&mut out, opinion, &features, &sized);
     out.implausible = implausible(sized.record, &out.oscillation, out.process.as_ref(), params.kind);
     if !out.implausible.is_empty() {
-        disbelieve(&mut out, &heard);
+        disbelieve(&mut out, &features);
     }
     let no = out.stiction == Some(false);
     if no {
@@ -214,21 +214,21 @@ impl<'r> Sights<'r> {
     /// is held as recorded.
     fn chosen(mut self, window: usize, params: &AssessParams) -> (Features, Sight<'r>) {
         let sized = self.windows.swap_remove(window);
-        let heard = rule::features(sized.evidence.figures.clone());
+        let features = rule::features(sized.evidence.figures.clone());
         if core::ptr::eq(sized.record, self.whole) || self.whole.box_samples > 1 {
-            return (heard, sized);
+            return (features, sized);
         }
-        (heard, Sight::of(self.whole, params, Seen::of(self.whole, params)))
+        (features, Sight::of(self.whole, params, Seen::of(self.whole, params)))
     }
 }
 
 /// Says what the rule answers, and why.
-fn decide(out: &mut Assessment, opinion: Opinion, heard: &Features, sized: &Sight<'_>) {
+fn decide(out: &mut Assessment, opinion: Opinion, features: &Features, sized: &Sight<'_>) {
     let (record, estimate, found) = (sized.record, sized.evidence.estimate.as_ref(), sized.seen.found());
     let rule = Rule::shipped();
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
     let indicator = |name| {
-        let scored = rule.indicator_score(name, heard);
+        let scored = rule.indicator_score(name, features);
         let vote = (scored.contribution != 0.0).then_some(scored.contribution > 0.0);
         Indicator { name, score: scored.score, vote, contribution: scored.contribution }
     };
@@ -259,9 +259,9 @@ fn decide(out: &mut Assessment, opinion: Opinion, heard: &Features, sized: &Sigh
 
 /// Takes away the numbers of a model that no plant has. A verdict that stands without the model's say stays; one that
 /// stands on the model alone, or on a record that shows no cycle of a valve, becomes an open question.
-fn disbelieve(out: &mut Assessment, heard: &Features) {
+fn disbelieve(out: &mut Assessment, features: &Features) {
     let of_the_record = out.implausible.iter().find(|i| i.is_of_the_record());
-    let mut without = heard.clone();
+    let mut without = features.clone();
     without.retain(|name, _| !rule::OF_THE_FIT.contains(&name.as_str()));
     let stands = of_the_record.is_none() && Rule::shipped().opinion(&without).sticks();
     if out.stiction == Some(true) && !stands {

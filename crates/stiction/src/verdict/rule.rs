@@ -2,9 +2,9 @@
 //!
 //! `logit p = constant + sum of weight * feature`. Where the file holds several such rules, which then look at different
 //! features and err on different records, the mean of their logits is the answer. A feature is a figure of the fit or an indicator, found by its name. One
-//! that a record does not show counts as its mean over the cases that the rule was fitted to, so it says nothing. What
-//! each says is its weight times its distance from that mean; together with `base`, the logit where every feature
-//! stands at its mean, they add up to the logit.
+//! that a record does not show counts as its mean over the cases that the rule was fitted to, so it adds nothing. The
+//! contribution of each is its weight times its distance from that mean; together with `base`, the logit where every
+//! feature stands at its mean, they add up to the logit.
 //!
 //! A long record is looked at in windows, of which the one with the median logit answers.
 
@@ -71,7 +71,7 @@ impl Logistic {
         self.constant + self.weights.iter().map(|w| w.weight * w.mean).sum::<f64>()
     }
 
-    fn says(&self, name: &str, score: f64) -> f64 {
+    fn contribution(&self, name: &str, score: f64) -> f64 {
         self.weights.iter().find(|w| w.feature == name).map_or(0.0, |w| w.weight * (score - w.mean))
     }
 }
@@ -108,12 +108,12 @@ static SHIPPED: LazyLock<Rule> = LazyLock::new(|| {
 /// Figures by name; what the record does not show is left out.
 pub type Features = BTreeMap<String, f64>;
 
-/// What one feature says.
+/// One feature's score and contribution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct IndicatorScore {
     /// Its figure.
     pub score: Option<f64>,
-    /// Its part of the logit, against its mean; 0 where it is silent or does not count.
+    /// Its part of the logit, against its mean; 0 where the record does not show it or it does not count.
     pub contribution: f64,
 }
 
@@ -175,15 +175,15 @@ impl Rule {
     #[must_use]
     pub fn opinion(&self, features: &Features) -> Opinion {
         let base = self.mean(Logistic::base);
-        let said: f64 = self.names().map(|name| self.indicator_score(name, features).contribution).sum();
-        Opinion { base, logit: base + said, cuts: self.cuts }
+        let moved: f64 = self.names().map(|name| self.indicator_score(name, features).contribution).sum();
+        Opinion { base, logit: base + moved, cuts: self.cuts }
     }
 
-    /// What one feature says.
+    /// One feature's score and contribution.
     #[must_use]
     pub(crate) fn indicator_score(&self, name: &str, features: &Features) -> IndicatorScore {
         let score = features.get(name).copied();
-        IndicatorScore { score, contribution: score.map_or(0.0, |x| self.mean(|part| part.says(name, x))) }
+        IndicatorScore { score, contribution: score.map_or(0.0, |x| self.mean(|part| part.contribution(name, x))) }
     }
 
     /// The place of the window that answers for a record, and what the rule makes of it; `None` without a window.
@@ -223,7 +223,7 @@ pub(crate) fn of_fit(
 
 /// What a record shows, before anything is made of it: figures of the fit (none where nothing moved the stem or nothing
 /// was fitted), of the set point and of the detectors. Where PV is `interpolated` between stored values its
-/// corners are the recorder's, so the detector that looks for jumps is not heard.
+/// corners are the recorder's, so the detector that looks for jumps is left out.
 #[must_use]
 pub fn figures(
     estimate: Option<&Estimate>,
@@ -255,8 +255,8 @@ pub(crate) fn figures_of(
         out.insert("setpoint_share".to_owned(), moved.min(2.0));
     }
     out.insert(INTERPOLATED.to_owned(), f64::from(u8::from(interpolated)));
-    let heard = detectors.iter().filter(|d| !(interpolated && d.name() == "jumps"));
-    out.extend(heard.filter_map(|d| Some((d.name().to_owned(), d.score(view)?))));
+    let asked = detectors.iter().filter(|d| !(interpolated && d.name() == "jumps"));
+    out.extend(asked.filter_map(|d| Some((d.name().to_owned(), d.score(view)?))));
     out
 }
 
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn contributions_add_up_and_silence_says_nothing() {
+    fn contributions_add_up_and_what_is_not_shown_adds_nothing() {
         let weight = |feature: &str, weight, mean| Weight { feature: feature.to_owned(), weight, mean };
         let first = Logistic { constant: -1.0, weights: vec![weight("index", 2.0, 0.25), weight("travel", 4.0, 0.5)] };
         let second = Logistic { constant: 1.0, weights: vec![weight("travel", 2.0, 0.5)] };
@@ -329,8 +329,8 @@ mod tests {
             1.5
         );
         assert!(opinion.sticks() && opinion.alarms());
-        let silent = rule.opinion(&of(&[("index", 0.25), ("unknown", 9.0)]));
-        assert_eq!(silent.logit, 1.75);
+        let not_shown = rule.opinion(&of(&[("index", 0.25), ("unknown", 9.0)]));
+        assert_eq!(not_shown.logit, 1.75);
         let weak = rule.opinion(&of(&[("index", -1.0)]));
         assert!(weak.sticks() && !weak.alarms());
         assert!(!rule.opinion(&of(&[("index", -2.0)])).sticks());
