@@ -281,7 +281,7 @@ fn fact(name: &str, towards: bool) -> &'static str {
     let [yes, no] = match name {
         "likelihood" => [
             "a model with friction explains PV better than one without",
-            "a model with friction explains PV hardly better than one without",
+            "the fit with friction is hardly better than one without, or leaves more than noise",
         ],
         "confirmed" => [
             "that fit is well supported: enough reversals of the stem, OP not an image of PV",
