@@ -287,7 +287,7 @@ fn windows_of_one_valve_are_diagnosed_together_and_what_does_not_fit_is_refused_
     let shown: Vec<&Value> = d["pooled"].as_array().unwrap().iter().filter(|w| w["shown"] == true).collect();
     assert_eq!(shown.len(), 1, "{}", d["pooled"]);
     assert_eq!(d["window"]["start_ns"], shown[0]["start_ns"]);
-    // Short searches of the same samples need not end alike: the samples tell.
+    // Two short searches of the same samples may end differently, so the samples are compared.
     let again = path("again.csv");
     fs::copy(&input, &again).unwrap();
     let twice = expect(1, &["gap", &input, &again, "--pool", "--budget", "0.2"]);

@@ -98,16 +98,7 @@ function drawings(root, loop) {
   const load = async () => {
     renew.disabled = true;
     drawn = end();
-    let answer = null;
-    try {
-      answer = await api.get(loop.path("/pictures"));
-    } catch (error) {
-      // The window may have been replaced meanwhile: the next one is drawn unasked.
-      drawn = null;
-      throw error;
-    } finally {
-      renew.disabled = false;
-    }
+    const answer = await api.get(loop.path("/pictures")).finally(() => (renew.disabled = false));
     root.removeAttribute("aria-busy");
     renew.hidden = end() === drawn;
     return answer;

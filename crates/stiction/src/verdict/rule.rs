@@ -4,7 +4,7 @@
 //! features and err on different records, the mean of their logits is the answer. A feature is a figure of the fit or an indicator, found by its name. One
 //! that a record does not show counts as its mean over the cases that the rule was fitted to, so it adds nothing. The
 //! contribution of each is its weight times its distance from that mean; together with `base`, the logit where every
-//! feature stands at its mean, they add up to the logit.
+//! feature has its mean, they add up to the logit.
 //!
 //! A long record is looked at in windows, of which the one with the median logit answers.
 
@@ -175,8 +175,8 @@ impl Rule {
     #[must_use]
     pub fn opinion(&self, features: &Features) -> Opinion {
         let base = self.mean(Logistic::base);
-        let moved: f64 = self.names().map(|name| self.indicator_score(name, features).contribution).sum();
-        Opinion { base, logit: base + moved, cuts: self.cuts }
+        let contributions: f64 = self.names().map(|name| self.indicator_score(name, features).contribution).sum();
+        Opinion { base, logit: base + contributions, cuts: self.cuts }
     }
 
     /// One feature's score and contribution.
@@ -255,8 +255,8 @@ pub(crate) fn figures_of(
         out.insert("setpoint_share".to_owned(), moved.min(2.0));
     }
     out.insert(INTERPOLATED.to_owned(), f64::from(u8::from(interpolated)));
-    let asked = detectors.iter().filter(|d| !(interpolated && d.name() == "jumps"));
-    out.extend(asked.filter_map(|d| Some((d.name().to_owned(), d.score(view)?))));
+    let used = detectors.iter().filter(|d| !(interpolated && d.name() == "jumps"));
+    out.extend(used.filter_map(|d| Some((d.name().to_owned(), d.score(view)?))));
     out
 }
 
