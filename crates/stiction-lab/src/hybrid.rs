@@ -1,7 +1,7 @@
 //! Known effects in real loops: the recording's own disturbance and what its controller does beside PID are kept, and the loop
 //! is closed again over valve, process and PID with the effect in it, so that OP answers.
 //!
-//! The differences to the recording are simulated: PV's by the noise model's A and B from the difference that the stem makes,
+//! The differences to the recording are simulated: PV's by the noise model's A and B from the difference that OP makes,
 //! OP's by the controller as read from the recording. Without an effect the recording itself comes out.
 
 use stiction::gap::budget::Budget;
@@ -11,7 +11,6 @@ use stiction::ident::controller::Reading;
 use stiction::record::Record;
 use stiction::signal::stats::std_dev;
 use stiction::signal::{detrend, stats};
-use stiction::sim::valve::he_step;
 use stiction_truth::draw::Draw;
 
 /// Effects that are put in.
@@ -26,10 +25,8 @@ const FAR: f64 = 1e6;
 pub struct Loop<'a> {
     /// The recording.
     pub record: &'a Record,
-    /// Its budget.
+    /// Its budget, made without a base.
     pub budget: &'a Budget,
-    /// Static and kinetic band of its valve, OP units, where the noise model is driven by the stem.
-    pub bands: Option<[f64; 2]>,
 }
 
 /// What an effect does to a loop: what it adds to PV, standard deviations of PV, and the factor on what the process makes of
@@ -134,16 +131,15 @@ impl Loop<'_> {
         let by_time = if controller.ti_s.is_finite() { series.point_s / controller.ti_s } else { 0.0 };
         let gains = [kc, kc * by_time, kc * controller.td_s / series.point_s];
         let lag = (controller.lag_samples * self.record.ts_s / series.point_s).round().max(0.0) as usize;
-        let bands = self.bands.filter(|_| model.by_stem).map(|b| b.map(|b| b / series.op_deviation));
         let driven = model.design.simulated(fit).unwrap_or_else(|| vec![0.0; n]);
-        let (mut stems, mut sums) = ([series.op[0]; 2], vec![0.0]);
+        let mut sums = vec![0.0];
         let (mut change, mut error) = (vec![0.0; n], vec![0.0; n]);
         let (mut op, mut pv, mut moved) = (Vec::with_capacity(n), Vec::with_capacity(n), 0.0);
         for k in 0..n {
             let bin = |j: usize| sums[k.saturating_sub(j * width)] - sums[k.saturating_sub((j + 1) * width)];
-            let by_stem: f64 = fit.b.iter().enumerate().map(|(j, b)| b * bin(j) / width as f64).sum();
+            let by_op: f64 = fit.b.iter().enumerate().map(|(j, b)| b * bin(j) / width as f64).sum();
             let own: f64 = fit.a[1..].iter().take(k).enumerate().map(|(i, a)| a * change[k - 1 - i]).sum();
-            change[k] = by_stem - own;
+            change[k] = by_op - own;
             let all = entry.gain[k] * (driven[k] + change[k]) - driven[k] + entry.added[k];
             pv.push(series.pv[k] + all);
             error[k] = -all;
@@ -152,14 +148,7 @@ impl Loop<'_> {
                 moved += gains[0] * (now - before) + gains[1] * now + gains[2] * (now - 2.0 * before + earlier);
             }
             op.push(series.op[k] + moved);
-            let [was, is] = &mut stems;
-            match bands {
-                Some([fs, fd]) => {
-                    (*was, *is) = (he_step(*was, series.op[k], fs, fd), he_step(*is, op[k], fs, fd));
-                }
-                None => (*was, *is) = (series.op[k], op[k]),
-            }
-            sums.push(sums[k] + *is - *was);
+            sums.push(sums[k] + moved);
             let bounded = all.abs() < FAR && moved.abs() < FAR;
             if !bounded {
                 return None;
@@ -212,7 +201,7 @@ mod tests {
     fn without_an_effect_the_recording_comes_out_and_with_one_op_answers() {
         let record = record();
         let budget = Budget::of(&record, Known { period: Some(160.0), ..Known::default() }).unwrap();
-        let own = Loop { record: &record, budget: &budget, bands: None };
+        let own = Loop { record: &record, budget: &budget };
         let controller = controller::read(&record).unwrap();
         assert!((controller.kc - 0.8).abs() < 0.05, "{controller:?}");
         let same = own.closed("ramp", 0.0, &controller, 3).unwrap();

@@ -8,6 +8,7 @@
 use std::collections::BTreeSet;
 
 use crate::labelled::{self, RECORDINGS, cells};
+use crate::val_effects::budget;
 
 use stiction::detect::oscillation;
 use stiction::gap::budget::document::{CANNOT_BE_TOLD, DISTURBANCE, NOISE, NOT_SPLIT, UNEXPLAINED, VALVE_AND_PROCESS};
@@ -21,8 +22,7 @@ use stiction_lab::hybrid::{EFFECTS, Loop};
 
 /// Samples of a recording that are taken.
 const SAMPLES: usize = 1_800;
-/// Models tried for a recording: for the valve's bands alone, and for the whole answer.
-const FEW: u64 = 20_000;
+/// Models tried for a recording's whole answer.
 const MANY: u64 = 200_000;
 /// Ways and sizes in which an effect is put in: PV alone, or the loop closed again.
 const WAYS: [(&str, f64); 4] = [("PV", 0.5), ("PV", 1.0), ("loop", 0.5), ("loop", 1.0)];
@@ -64,8 +64,8 @@ fn diagnosed(record: &Record, evaluations: u64) -> Option<(Diagnosis, GapOptions
 /// What a budget names, and whether the halves confirm it.
 type Names = Vec<(&'static str, bool)>;
 
-fn names(record: &Record, known: Known<'_>) -> Names {
-    let found = Budget::of(record, known);
+fn names(record: &Record) -> Names {
+    let found = budget(record);
     found
         .iter()
         .flat_map(|b| b.searched.added.iter().zip(&b.confirmed))
@@ -88,20 +88,17 @@ struct Found {
 
 fn put_into(record: &Record, place: usize) -> Option<Found> {
     let seed = 100 + place as u64;
-    let (made, _) = diagnosed(record, FEW)?;
-    let valve = &made.base.model.valve;
-    let bands = (valve.law != "none").then_some([valve.fs, valve.fd]);
-    let known = Known { bands, noise_sd: made.floor.noise_sd, ..Known::default() };
-    let budget = Budget::of(record, known)?;
-    let own = Loop { record, budget: &budget, bands };
+    let printed = budget(record)?;
+    let closing = Budget::of(record, Known { period: period(record), ..Known::default() })?;
+    let own = Loop { record, budget: &closing };
     let reading = controller::read(record);
     let mut out = Found {
         even: place.is_multiple_of(2),
         read: reading.is_some(),
         unstable: 0,
-        before: names(record, known),
+        before: names(record),
         made: Vec::new(),
-        nulls: (1..=NULLS).map(|k| names(&own.null(seed + k), known)).collect(),
+        nulls: (1..=NULLS).map(|k| names(&own.null(seed + k))).collect(),
         least: [Vec::new(), Vec::new()],
     };
     for (effect, id) in EFFECTS.iter().enumerate() {
@@ -115,14 +112,14 @@ fn put_into(record: &Record, place: usize) -> Option<Found> {
                 }
                 _ => None,
             };
-            out.made.extend(made.map(|record| (effect, way, names(&record, known))));
+            out.made.extend(made.map(|record| (effect, way, names(&record))));
         }
     }
     for k in 0..CHECKS {
         let place = (k as f64 + 0.7) / (CHECKS as f64 + 0.4);
-        let has = |record: &Record, id: &str| names(record, known).iter().any(|(found, _)| *found == id);
-        out.least[0].extend(budget.smallest_step.map(|size| has(&own.with_step(size, place), "step_load")));
-        let wave = budget.smallest_sinusoid.map(|(size, f)| has(&own.with_wave(size, f, place), "sinusoid"));
+        let has = |record: &Record, id: &str| names(record).iter().any(|(found, _)| *found == id);
+        out.least[0].extend(printed.smallest_step.map(|size| has(&own.with_step(size, place), "step_load")));
+        let wave = printed.smallest_sinusoid.map(|(size, f)| has(&own.with_wave(size, f, place), "sinusoid"));
         out.least[1].extend(wave);
     }
     Some(out)

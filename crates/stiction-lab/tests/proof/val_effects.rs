@@ -12,7 +12,7 @@ use stiction::gap::{GapOptions, Serial, diagnose};
 use stiction::record::Record;
 use stiction_lab::challenge::{Deck, Kind, Split, TruthCase};
 
-/// Models tried for the valve's bands.
+/// Models tried for the base.
 const FEW: u64 = 20_000;
 
 /// An environment variable as a number.
@@ -20,15 +20,20 @@ fn asked(name: &str, usual: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
 }
 
-/// What the budget names, and whether the halves confirm it.
-fn names(record: &Record) -> Vec<(String, bool)> {
+/// The budget of a record after a short diagnosis.
+pub(crate) fn budget(record: &Record) -> Option<Budget> {
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let options = GapOptions { period_points: period, budget_evaluations: FEW, ..GapOptions::default() };
-    let Ok(made) = diagnose(record, &options, &Serial) else { return Vec::new() };
-    let valve = &made.base.model.valve;
-    let bands = (valve.law != "none").then_some([valve.fs, valve.fd]);
-    let known = Known { bands, noise_sd: made.floor.noise_sd, ..Known::default() };
-    Budget::of(record, known).map(|budget| budget.named()).unwrap_or_default()
+    let made = diagnose(record, &options, &Serial).ok()?;
+    Budget::of(
+        record,
+        Known { base: Some((&made.base_of_all, made.blocks.from)), noise_sd: made.floor.noise_sd, ..Known::default() },
+    )
+}
+
+/// What the budget names, and whether the halves confirm it.
+fn names(record: &Record) -> Vec<(String, bool)> {
+    budget(record).map(|budget| budget.named()).unwrap_or_default()
 }
 
 /// Loops, those with a name or a confirmed one of the effect itself, and of each that was not put in.

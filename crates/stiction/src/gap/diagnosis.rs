@@ -8,7 +8,7 @@ use super::effects::{self, Way};
 use super::evidence::{Basis, Evidence, Left};
 use super::express::{above_floor, fit};
 use super::filter::{self, Filtered};
-use super::forward::fitted_to_first_part;
+use super::forward::{fitted_to_first_part, refitted};
 use super::given;
 use super::judged::Diagnosis;
 use super::loop_run;
@@ -121,7 +121,10 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     work.begin(budget);
     let is_asked = !options.without.iter().any(|w| w == effects::neighbour::EFFECT.id);
     let others = if is_asked { &options.neighbours[..] } else { &[] };
-    let offered = neighbours::look(record, &problem, &found, others, &mut work);
+    let nothing_held_out = vec![false; problem.n()];
+    let base_of_all = refitted(&problem, &nothing_held_out, &[&found.base], floor.noise_floor, &mut work);
+    let base_of_all = base_of_all.and_then(|fits| fits.into_iter().next());
+    let offered = neighbours::look(record, &problem, &found, base_of_all.as_ref(), others, &mut work);
     let mut rivals = Vec::new();
     for (with, search) in offered.as_ref().map(|o| o.fits.clone()).unwrap_or_default() {
         // The best one now counts as an effect like any other; the others are weighed alone.
@@ -166,6 +169,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
             masked: problem.blocks.masked.clone(),
         },
         model_after: base.model.clone(),
+        base_of_all: base_of_all.unwrap_or_else(|| base.clone()),
         base,
         given,
         effects,

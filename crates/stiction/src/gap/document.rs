@@ -17,7 +17,6 @@ use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp
 use super::typical::{self, Known, TypicalNote};
 use crate::record::Record;
 use crate::signal::stats;
-use crate::sim::slips::Law;
 use crate::units::Moment;
 
 /// Schema name of a diagnosis.
@@ -383,10 +382,8 @@ impl GapDocument {
 
 /// What the diagnosis knows for the budget: the base's valve and PV's noise.
 fn known(diagnosis: &Diagnosis) -> budget::Known<'_> {
-    let valve = &diagnosis.base.model.valve;
-    let rubs = valve.law == Law::He.name();
     budget::Known {
-        bands: rubs.then_some([valve.fs, valve.fd]),
+        base: Some((&diagnosis.base_of_all, diagnosis.blocks.from)),
         period: None,
         noise_sd: diagnosis.floor.noise_sd,
         loads: &diagnosis.loads,

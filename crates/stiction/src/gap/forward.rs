@@ -33,7 +33,20 @@ pub(crate) fn fitted_to_first_part(
         return None;
     }
     let held_out: Vec<bool> = (0..problem.n()).map(|k| k >= rest).collect();
-    let part = problem.held_out_by(&held_out);
+    let fits = refitted(problem, &held_out, searches, floor, work)?;
+    Some(FirstPart { rest, fits })
+}
+
+/// The best of each search, fitted again with other points held out; `None` where there is no time for all, or a model finds
+/// no place.
+pub(crate) fn refitted(
+    problem: &Problem,
+    held_out: &[bool],
+    searches: &[&Search],
+    floor: Option<f64>,
+    work: &mut Work<'_>,
+) -> Option<Vec<Fit>> {
+    let part = problem.held_out_by(held_out);
     let seed = work.seed;
     let fitted = work.all(searches.len(), |i| {
         let source = searches[i];
@@ -47,6 +60,5 @@ pub(crate) fn fitted_to_first_part(
     if fitted.len() < searches.len() {
         return None;
     }
-    let fits = fitted.iter().map(|search| fit(&part, search, floor, &|_| {})).collect::<Option<Vec<Fit>>>()?;
-    Some(FirstPart { rest, fits })
+    fitted.iter().map(|search| fit(&part, search, floor, &|_| {})).collect()
 }

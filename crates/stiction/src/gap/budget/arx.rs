@@ -27,8 +27,10 @@ const LARGEST: f64 = 20.0;
 /// A series with a signal that drives it.
 #[derive(Debug, Clone)]
 pub struct Design {
-    /// PV in standard deviations.
+    /// PV in standard deviations, less the base's free run if there is one.
     pub y: Vec<f64>,
+    /// The base's free run, less its mean.
+    base: Option<Vec<f64>>,
     /// Flat bins of u at each point.
     bins: Vec<Vec<f64>>,
     /// Points in a bin.
@@ -111,7 +113,25 @@ impl Design {
     pub(crate) fn new(series: &Series, u: Option<&[f64]>) -> Self {
         let width = ((series.period / BINS_IN_PERIOD).round() as usize).max(1);
         let bins = u.map(|u| bins(u, width)).unwrap_or_default();
-        Self { y: series.pv.clone(), bins, width, used: vec![true; series.n()] }
+        Self { y: series.pv.clone(), base: None, bins, width, used: vec![true; series.n()] }
+    }
+
+    /// The design of what a free run leaves of a series.
+    #[must_use]
+    pub(crate) fn less_base(series: &Series, prediction: &[f64]) -> Self {
+        let mean = stats::mean(prediction);
+        let base: Vec<f64> = prediction.iter().map(|x| x - mean).collect();
+        let y = series.pv.iter().zip(&base).map(|(y, x)| y - x).collect();
+        Self { y, base: Some(base), ..Self::new(series, None) }
+    }
+
+    /// PV where `y` is what the free run leaves.
+    #[must_use]
+    pub(crate) fn pv(&self, y: &[f64]) -> Vec<f64> {
+        match &self.base {
+            Some(base) => y.iter().zip(base).map(|(y, x)| y + x).collect(),
+            None => y.to_vec(),
+        }
     }
 
     /// The same with other points that count.
@@ -120,9 +140,9 @@ impl Design {
         Self { used: (0..self.y.len()).map(used).collect(), ..self.clone() }
     }
 
-    /// The same with another PV.
+    /// The same with another `y`.
     #[must_use]
-    pub(crate) fn with_pv(&self, y: Vec<f64>) -> Self {
+    pub(crate) fn with_y(&self, y: Vec<f64>) -> Self {
         Self { y, ..self.clone() }
     }
 
@@ -140,7 +160,7 @@ impl Design {
         lags.chain(bins).chain([vec![1.0; n - START]]).collect()
     }
 
-    /// PV less the effects.
+    /// `y` less the effects.
     #[must_use]
     pub(crate) fn less(&self, effects: &[Vec<f64>], beta: &[f64]) -> Vec<f64> {
         left(effects, &self.y, beta)
@@ -192,12 +212,13 @@ impl Design {
         None
     }
 
-    /// The best order by BIC (Schwarz 1978), and its BIC, nats.
+    /// The best order by BIC (Schwarz 1978), and its BIC, nats, with so many parameters beside those of this design.
     #[must_use]
-    pub(crate) fn best(&self) -> Option<(Fit, f64)> {
+    pub(crate) fn best(&self, beside: usize) -> Option<(Fit, f64)> {
         let log_n = libm::log(self.y.len() as f64);
         let bic = |fit: Fit| {
-            let value = fit.log_likelihood() - 0.5 * fit.order() as f64 * log_n;
+            let parameters = fit.order() + self.bins.len() + beside;
+            let value = fit.log_likelihood() - 0.5 * parameters as f64 * log_n;
             (fit, value)
         };
         let all = ORDERS.iter().filter_map(|order| self.fit(*order, &[], None).map(bic));
@@ -216,10 +237,13 @@ impl Design {
         x
     }
 
-    /// What valve and process make of u by themselves, `B/A u`, standard deviations of PV; `None` where that grows beyond what
-    /// any record shows.
+    /// What valve and process make of u by themselves, the base's free run or `B/A u`, standard deviations of PV; `None` where
+    /// that grows beyond what any record shows.
     #[must_use]
     pub fn simulated(&self, fit: &Fit) -> Option<Vec<f64>> {
+        if self.base.is_some() {
+            return self.base.clone();
+        }
         let mut x = self.driven(fit, &vec![0.0; self.y.len()]);
         let mean = stats::mean(&x);
         x.iter_mut().for_each(|x| *x -= mean);
@@ -227,7 +251,7 @@ impl Design {
         (stats::variance(&x) <= LARGEST * stats::variance(&self.y)).then_some(x)
     }
 
-    /// Innovations of a fit for PV `y`, from point [`START`] on.
+    /// Innovations of a fit for `y`, from point [`START`] on.
     #[must_use]
     pub(crate) fn innovations(&self, fit: &Fit, y: &[f64]) -> Vec<f64> {
         let columns = self.regressors(y, fit.order());
@@ -276,13 +300,13 @@ mod tests {
     fn a_shared_pole_and_the_gain_are_found() {
         let series = series();
         let design = Design::new(&series, Some(&series.op));
-        let (fit, _) = design.best().unwrap();
+        let (fit, _) = design.best(0).unwrap();
         assert!(fit.order() <= 4 && (fit.a.iter().sum::<f64>() - 0.1).abs() < 0.1, "{:?}", fit.a);
         let x = design.simulated(&fit).unwrap();
         let gain = fit.b.iter().sum::<f64>() / fit.a.iter().sum::<f64>() * series.of_pv[1] / series.op_deviation;
         assert!((gain - 1.0).abs() < 0.15, "{gain}");
         assert!(stats::dot(&x, &series.pv) / stats::dot(&series.pv, &series.pv) > 0.8);
-        let without = Design::new(&series, None).best().unwrap().0;
+        let without = Design::new(&series, None).best(0).unwrap().0;
         assert!(fit.log_likelihood() - without.log_likelihood() > 100.0);
     }
 
@@ -292,7 +316,7 @@ mod tests {
         let step: Vec<f64> = (0..series.n()).map(|k| f64::from(u8::from(k >= 433))).collect();
         let design = Design::new(&series, Some(&series.op));
         let y = design.less(core::slice::from_ref(&step), &[-0.8]);
-        let design = design.with_pv(y);
+        let design = design.with_y(y);
         let before = design.fit(2, &[], None).unwrap();
         let after = design.fit(2, &[step], Some(&before)).unwrap();
         assert!((after.beta[0] - 0.8).abs() < 0.15, "{:?}", after.beta);

@@ -93,7 +93,8 @@ pub struct BudgetNote {
     pub parts: Vec<PartNote>,
     /// Why valve and process are not told from the disturbance: `process_unstable` or `parts_correlate`.
     pub no_split: Option<String>,
-    /// What drives the process in the noise model: `op`, or `stem` for the stem of the base's valve.
+    /// What drives the process in the noise model: `op`, `stem` for the stem of the base's valve, or `base` for the base's free
+    /// run.
     pub driven_by: String,
     /// Order of the noise model.
     pub order: u8,
@@ -190,7 +191,7 @@ impl BudgetNote {
             from_s: series.time_s(0),
             parts,
             no_split: split.no_split.map(|why| why.name().to_owned()),
-            driven_by: if budget.model.by_stem { "stem" } else { "op" }.to_owned(),
+            driven_by: budget.model.driver.name().to_owned(),
             order: budget.searched.fit.order() as u8,
             smallest: smallest.collect(),
             recorder,

@@ -134,7 +134,7 @@ impl Judged<'_> {
         let order = self.model.base.order();
         // Lags of the rest must not reach into the stretch.
         let rest = |k: usize| !(stretch.from..stretch.to + order).contains(&k);
-        let design = self.model.design.with_pv(with.clone()).where_used(rest);
+        let design = self.model.design.with_y(with.clone()).where_used(rest);
         let Some(fit) = design.fit(order, &[], None) else { return 0.0 };
         let lost = |y: &[f64]| loss(&design, &fit, y, stretch);
         let count = places.len() as f64;

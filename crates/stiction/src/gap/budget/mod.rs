@@ -18,6 +18,7 @@ mod smallest;
 mod student;
 
 use super::neighbour::Load;
+use super::types::Fit;
 use crate::record::Record;
 use parts::Split;
 use search::{Model, Searched};
@@ -26,8 +27,8 @@ use series::Series;
 /// What is known of a record before.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Known<'a> {
-    /// Static and kinetic band of He's valve, OP units.
-    pub bands: Option<[f64; 2]>,
+    /// The base, fitted to all of the record, and the first point of its free run that is valid.
+    pub base: Option<(&'a Fit, usize)>,
     /// Period of the oscillation, points.
     pub period: Option<f64>,
     /// Standard deviation of PV's noise, PV units.
@@ -63,13 +64,13 @@ impl Budget {
         if !finite(&record.pv) || !finite(&record.op_path) {
             return None;
         }
-        let series = Series::of(record, known.bands, known.period)?.with_loads(known.loads);
+        let series = Series::of(record, known.base, known.period)?.with_loads(known.loads);
         let model = Model::of(&series)?;
         let searched = search::search(&series, &model);
         let confirmed = (0..searched.added.len()).map(|k| halves::confirm(&model, &searched, k)).collect();
         // The mean of a box holds its share of the noise.
         let by = series.of_pv[1] * (series.box_points as f64).sqrt();
-        let split = parts::split(&model, &searched, known.noise_sd.map(|sd| sd / by));
+        let split = parts::split(&series, &model, &searched, known.noise_sd.map(|sd| sd / by));
         Some(Self {
             smallest_step: smallest::step(&series, &model, &searched),
             smallest_sinusoid: smallest::sinusoid(&series, &model, &searched),
@@ -271,10 +272,8 @@ mod tests {
                 size * x
             }).collect();
             let op: Vec<f64> = pv.iter().map(|y| if kind == 2 { -y } else { y * y - (y * 3.0).round() }).collect();
-            let bands = [size.abs(), 0.1 * size.abs()];
-            for bands in [None, Some(bands)] {
-                let budget = Budget::of(&Record::uniform(1.0, op.clone(), pv.clone()), Known { bands, ..Known::default() });
-                let Some(budget) = budget else { continue };
+            let budget = Budget::of(&Record::uniform(1.0, op, pv), Known::default());
+            if let Some(budget) = budget {
                 let note = document::BudgetNote::of(&budget, &[]);
                 let sum: f64 = note.parts.iter().map(|p| p.share_pct).sum();
                 prop_assert!((sum - 100.0).abs() < 1e-6, "{sum}: {note:?}");

@@ -7,7 +7,8 @@
 use core::f64::consts::PI;
 
 use super::arx::{Fit, START};
-use super::search::{Model, Searched};
+use super::search::{Driver, Model, Searched};
+use super::series::Series;
 use crate::signal::stats;
 
 /// Correlation of two parts from which their split is arbitrary.
@@ -76,8 +77,9 @@ pub struct Split {
 
 /// Splits a searched series; `noise` is PV's noise over its standard deviation, where it could be read.
 #[must_use]
-pub(crate) fn split(model: &Model, searched: &Searched, noise: Option<f64>) -> Split {
-    let y = &model.design.y;
+pub(crate) fn split(series: &Series, model: &Model, searched: &Searched, noise: Option<f64>) -> Split {
+    let pv = model.design.pv(&model.design.y);
+    let y = &pv;
     let fit = &searched.fit;
     let part =
         |x: &[f64]| Part { share: covariance(x, y) / stats::variance(y), size: stats::std_dev(x) / stats::std_dev(y) };
@@ -108,10 +110,13 @@ pub(crate) fn split(model: &Model, searched: &Searched, noise: Option<f64>) -> S
     let power = (stats::variance(&fit.e) / stats::variance(y)).max(f64::MIN_POSITIVE);
     let white = noise.map_or(1.0, |noise| noise * noise / power).min(least).min(1.0);
     let of = |share: f64| Part { share: share * new.share, size: share.sqrt() * new.size };
-    let at_rest = fit.b.iter().sum::<f64>() / fit.a.iter().sum::<f64>();
+    let gain = match model.driver {
+        Driver::Base => series.base.as_ref().and_then(|base| base.gain),
+        Driver::Op | Driver::Stem => Some(fit.b.iter().sum::<f64>() / fit.a.iter().sum::<f64>()),
+    };
     Split {
         effects: effects.iter().map(|x| part(x)).collect(),
-        gain: process.map(|_| at_rest).filter(|gain| gain.is_finite()),
+        gain: process.and(gain).filter(|gain| gain.is_finite()),
         valve_and_process,
         no_split,
         disturbance,
@@ -166,7 +171,7 @@ mod tests {
             let series = of.series_of(record);
             let model = Model::of(&series).unwrap();
             let searched = search(&series, &model);
-            let split = split(&model, &searched, None);
+            let split = split(&series, &model, &searched, None);
             let share = |x: &[f64]| covariance(x, &truth.pv) / stats::variance(&truth.pv);
             let process = split.valve_and_process.unwrap_or_else(|| panic!("{seed}: {split:?}"));
             let effects: f64 = split.effects.iter().map(|e| e.share).sum();

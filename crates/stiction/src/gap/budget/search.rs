@@ -29,6 +29,29 @@ const MOST_DRIVEN: f64 = 6.0;
 /// Variance of it beyond which OP itself takes its place.
 const FAR: f64 = 100.0;
 
+/// What the noise model takes PV's process from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Driver {
+    /// OP, through B/A.
+    Op,
+    /// The base's stem, through B/A.
+    Stem,
+    /// The base itself: the noise model is one of what its free run leaves.
+    Base,
+}
+
+impl Driver {
+    /// As documents have it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Op => "op",
+            Self::Stem => "stem",
+            Self::Base => "base",
+        }
+    }
+}
+
 /// The noise model of a series.
 #[derive(Debug, Clone)]
 pub struct Model {
@@ -38,38 +61,43 @@ pub struct Model {
     pub base: Fit,
     /// What valve and process make of OP, for drift and bend.
     pub driven: Vec<f64>,
-    /// Whether a sticking valve's stem drives it.
-    pub by_stem: bool,
+    /// What drives it.
+    pub driver: Driver,
     /// Log likelihood that OP adds to PV's own past, nats.
     pub gain_by_op: f64,
 }
 
 impl Model {
-    /// Chooses u (OP, or the stem) and the order by BIC; `None` where nothing can be fitted.
+    /// Chooses the driver and the order by BIC; `None` where nothing can be fitted.
     #[must_use]
     pub(crate) fn of(series: &Series) -> Option<Self> {
         /// Parameters of a sticking valve.
-        const BANDS: f64 = 2.0;
+        const BANDS: usize = 2;
+        let alone = Design::new(series, None).best(0)?;
         let by_op = Design::new(series, Some(&series.op));
-        let (mut base, bic) = by_op.best()?;
-        let (mut design, mut by_stem) = (by_op, false);
-        if let Some(stem) = &series.stem {
-            let by_its_stem = Design::new(series, Some(stem));
-            let price = 0.5 * BANDS * libm::log(series.n() as f64);
-            if let Some((fit, _)) = by_its_stem.best().filter(|(_, own)| own - price > bic) {
-                (design, base, by_stem) = (by_its_stem, fit, true);
-            }
-        }
-        let alone = Design::new(series, None).best()?.0;
+        let by_op = (by_op.best(0)?, by_op, Driver::Op);
+        let by_stem = series.stem.as_ref().and_then(|stem| {
+            let design = Design::new(series, Some(stem));
+            Some((design.best(BANDS)?, design, Driver::Stem))
+        });
+        let by_base = series.base.as_ref().and_then(|base| {
+            let design = Design::less_base(series, &base.pv);
+            Some((design.best(base.parameters)?, design, Driver::Base))
+        });
+        type Choice = ((Fit, f64), Design, Driver);
+        let more_likely = |x: Choice, y: Choice| if y.0.1 > x.0.1 { y } else { x };
+        let by_u = by_stem.into_iter().fold(by_op, more_likely);
+        let gain_by_op = by_u.0.0.log_likelihood() - alone.0.log_likelihood();
+        let ((base, _), design, driver) = by_base.into_iter().fold(by_u, more_likely);
         let driven = design.simulated(&base).filter(|x| stats::variance(x) < FAR);
-        let u = if by_stem { series.stem.as_ref() } else { Some(&series.op) };
+        let u = if driver == Driver::Op { Some(&series.op) } else { series.stem.as_ref() };
         let driven = driven.or_else(|| u.cloned())?;
         Some(Self {
-            gain_by_op: base.log_likelihood() - alone.log_likelihood(),
+            gain_by_op,
             driven: driven.iter().map(|d| d.clamp(-MOST_DRIVEN, MOST_DRIVEN)).collect(),
             design,
             base,
-            by_stem,
+            driver,
         })
     }
 
@@ -80,7 +108,7 @@ impl Model {
         let e = &self.base.e;
         let mean = stats::mean(e);
         let drawn: Vec<f64> = (0..series.n()).map(|_| e[noise.below(e.len() as u64) as usize] - mean).collect();
-        Series { pv: self.design.driven(&self.base, &drawn), ..series.clone() }
+        Series { pv: self.design.pv(&self.design.driven(&self.base, &drawn)), ..series.clone() }
     }
 
     /// The columns of a shape.
@@ -184,7 +212,7 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
     let n = series.n();
     let scan = Scan::new(&so_far.fit, n)?;
     let low = (so_far.fit.order() > LOW).then(|| {
-        let design = model.design.with_pv(model.design.less(&so_far.columns, &so_far.fit.beta));
+        let design = model.design.with_y(model.design.less(&so_far.columns, &so_far.fit.beta));
         design.fit(LOW, &[], None)
     });
     let low = low.flatten();

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
+use super::arx::START;
 use crate::gap::neighbour::Load;
 use crate::gap::problem::period_of;
+use crate::gap::types::Fit;
 use crate::record::Record;
 use crate::signal::{detrend, stats};
-use crate::sim::valve::he_step;
 
 /// Most points.
 pub(crate) const MOST: usize = 900;
@@ -24,8 +25,10 @@ pub struct Series {
     pub pv: Vec<f64>,
     /// OP, less its mean, in standard deviations.
     pub op: Vec<f64>,
-    /// The stem of a sticking valve, in the same units as `op`; `None` where no bands are known or the stem rests.
+    /// The base's stem, in the same units as `op`; `None` without friction, or where the stem rests.
     pub stem: Option<Vec<f64>>,
+    /// What the base predicts.
+    pub base: Option<Predicted>,
     /// Mean and standard deviation of PV, PV units.
     pub of_pv: [f64; 2],
     /// Standard deviation of OP, OP units.
@@ -42,11 +45,22 @@ pub struct Series {
     pub loads: Vec<Arc<Load>>,
 }
 
+/// A free run over a series.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Predicted {
+    /// PV, in the series' units.
+    pub pv: Vec<f64>,
+    /// What PV gains with OP at rest, standard deviations of one over those of the other; `None` for an integrator.
+    pub gain: Option<f64>,
+    /// Free parameters of its model.
+    pub parameters: usize,
+}
+
 impl Series {
-    /// The series of a record; `bands` are static and kinetic band of He's valve, OP units; `period` in points of the record.
-    /// `None` where it is too short, or OP or PV does not move.
+    /// The series of a record, and its base with the first point of its free run that is valid; `period` in points of the
+    /// record. `None` where it is too short, or OP or PV does not move.
     #[must_use]
-    pub(crate) fn of(record: &Record, bands: Option<[f64; 2]>, period: Option<f64>) -> Option<Self> {
+    pub(crate) fn of(record: &Record, base: Option<(&Fit, usize)>, period: Option<f64>) -> Option<Self> {
         let n = record.len();
         if n < FEWEST {
             return None;
@@ -54,7 +68,10 @@ impl Series {
         let period = period.filter(|p| p.is_finite() && *p > 0.0).unwrap_or_else(|| period_of(record).0);
         let fine = ((period / IN_PERIOD) as usize).max(1);
         let box_points = n.div_ceil(MOST).min(fine);
-        let count = (n / box_points).min(MOST);
+        // The first points that count are valid ones.
+        let before = base.map_or(0, |(_, from)| from.saturating_sub(START * box_points));
+        let count = ((n - before) / box_points).min(MOST);
+        let base = base.map(|(base, _)| base);
         let from = n - count * box_points;
         let boxed = |x: &[f64]| detrend::box_means(&x[from..], box_points);
         let (pv, op) = (boxed(&record.pv), boxed(&record.op()));
@@ -66,12 +83,18 @@ impl Series {
             return None;
         }
         let scaled = |x: &[f64], mean: f64, by: f64| -> Vec<f64> { x.iter().map(|v| (v - mean) / by).collect() };
-        let stem = bands.filter(|[fs, _]| *fs > 0.0).map(|bands| boxed(&stem(record, bands)));
+        let stem = base.filter(|base| base.model.valve.fs > 0.0).map(|base| boxed(&base.valve));
         let stem = stem.filter(|s| stats::std_dev(s) > 1e-6 * of_op[1]);
+        let predicted = |base: &Fit| Predicted {
+            pv: scaled(&boxed(&base.prediction), of_pv[0], of_pv[1]),
+            gain: (!base.model.process.integrating).then_some(base.model.process.gain * of_op[1] / of_pv[1]),
+            parameters: base.parameters,
+        };
         Some(Self {
             pv: scaled(&pv, of_pv[0], of_pv[1]),
             stem: stem.map(|s| scaled(&s, stats::mean(&s), of_op[1])),
             op: scaled(&op, of_op[0], of_op[1]),
+            base: base.map(predicted),
             of_pv,
             op_deviation: of_op[1],
             period: (period / box_points as f64).min(count as f64 / PERIODS).max(IN_PERIOD),
@@ -108,22 +131,6 @@ impl Series {
     }
 }
 
-/// Position of the stem of He's valve at each point of a record, OP units.
-fn stem(record: &Record, [fs, fd]: [f64; 2]) -> Vec<f64> {
-    let per_point = record.path_per_point();
-    let mut at = record.op_path.first().copied().unwrap_or(0.0);
-    let mut path = record.op_path.chunks_exact(per_point);
-    let mean = |point: &[f64]| {
-        let mut sum = 0.0;
-        for op in point {
-            at = he_step(at, *op, fs, fd);
-            sum += at;
-        }
-        sum / per_point as f64
-    };
-    path.by_ref().take(record.len()).map(mean).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -133,10 +140,10 @@ mod tests {
         let wave = |k: usize| libm::sin(k as f64 * 0.05);
         let record =
             |n: usize| Record::uniform(2.0, (0..n).map(wave).collect(), (0..n).map(|k| 3.0 + wave(k + 9)).collect());
-        let series = Series::of(&record(2_001), Some([0.3, 0.1]), None).unwrap();
+        let series = Series::of(&record(2_001), None, None).unwrap();
         assert_eq!((series.n(), series.box_points, series.from, series.point_s), (667, 3, 0, 6.0));
         assert!((stats::std_dev(&series.pv) - 1.0).abs() < 1e-9 && (series.of_pv[0] - 3.0).abs() < 0.05);
-        assert!((series.period - 41.9).abs() < 1.0 && series.stem.is_some());
+        assert!((series.period - 41.9).abs() < 1.0);
         assert_eq!(Series::of(&record(FEWEST - 1), None, None), None);
         assert_eq!(Series::of(&Record::uniform(1.0, vec![1.0; 300], record(300).pv), None, None), None);
         // Boxes must not be wider than an eighth of the period: the record's end is used.

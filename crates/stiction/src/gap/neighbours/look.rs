@@ -6,17 +6,15 @@ use super::super::budget::shapes::Shape;
 use super::super::budget::{Budget, Known};
 use super::super::candidate::MAX_PARAMS;
 use super::super::effects::neighbour::EFFECT;
-use super::super::express;
 use super::super::neighbour::{Load, Neighbour};
 use super::super::problem::{Problem, period_of};
 use super::super::schedule::{Found, Work, look_again};
 use super::super::search::{FIRST, Search, exchange, local_search};
 use super::super::signatures;
 use super::super::structure::Structure;
-use super::super::types::Compared;
+use super::super::types::{Compared, Fit};
 use super::scan::{Hit, Scan};
 use crate::record::Record;
-use crate::sim::slips::Law;
 
 /// p-value up to which a neighbour is fitted.
 const RARE: f64 = 0.05;
@@ -47,13 +45,11 @@ pub(in crate::gap) fn look(
     record: &Record,
     problem: &Problem,
     found: &Found,
+    base: Option<&Fit>,
     neighbours: &[Neighbour],
     work: &mut Work<'_>,
 ) -> Option<Offered> {
-    let base = express::fit(problem, &found.base, None, &|_| {});
-    let valve = base.map(|base| base.model.valve).filter(|valve| valve.law == Law::He.name());
-    let bands = valve.map(|valve| [valve.fs, valve.fd]);
-    let (mut compared, loads) = judged(record, problem, neighbours, bands, work.seed)?;
+    let (mut compared, loads) = judged(record, problem, neighbours, base, work.seed)?;
     let fits = fitted(problem, found, loads.clone(), work);
     compared.fitted = fits.iter().filter_map(|(own, _)| Some(own.neighbour.as_ref()?.name.clone())).collect();
     Some(Offered { compared, loads, fits })
@@ -73,7 +69,7 @@ fn judged(
     record: &Record,
     problem: &Problem,
     neighbours: &[Neighbour],
-    bands: Option<[f64; 2]>,
+    base: Option<&Fit>,
     seed: u64,
 ) -> Option<(Compared, Vec<Load>)> {
     if neighbours.is_empty() {
@@ -88,18 +84,18 @@ fn judged(
         best: hits.first().map(|hit| neighbours[hit.neighbour].name.clone()),
         share: hits.first().map(|hit| hit.share),
         p_value,
-        acts: acting(record, bands, &loads),
+        acts: acting(record, base.map(|base| (base, problem.blocks.from)), &loads),
         fitted: Vec::new(),
     };
     Some((compared, loads))
 }
 
 /// The load that gains most under the noise model, where both halves confirm it.
-fn acting(record: &Record, bands: Option<[f64; 2]>, loads: &[Load]) -> Option<String> {
+fn acting(record: &Record, base: Option<(&Fit, usize)>, loads: &[Load]) -> Option<String> {
     if loads.is_empty() {
         return None;
     }
-    let budget = Budget::of(record, Known { bands, loads, ..Known::default() })?;
+    let budget = Budget::of(record, Known { base, loads, ..Known::default() })?;
     let mut confirmed = budget.searched.added.iter().zip(&budget.confirmed).filter(|(_, confirmed)| **confirmed);
     confirmed.find_map(|(added, _)| match &added.shape {
         Shape::Neighbour(load, _) => Some(load.name.clone()),
