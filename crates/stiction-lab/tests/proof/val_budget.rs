@@ -3,7 +3,7 @@
 //!
 //! `cargo test -p stiction-lab --test proof val_budget -- --ignored --nocapture`
 //!
-//! `ODD=1` takes the odd places of the index alone, on which nothing was chosen.
+//! `ODD=1` takes the odd places of the index alone, on which nothing was chosen, `ODD=0` the even ones.
 
 use std::collections::BTreeSet;
 
@@ -179,8 +179,8 @@ fn table(name: &str, all: &[&Found]) -> Vec<[usize; 2]> {
 #[ignore = "a benchmark of minutes"]
 fn effects_put_into_real_loops_are_named() {
     let Some(all) = with_a_cycle("effects_put_into_real_loops_are_named") else { return };
-    let odd_only = std::env::var_os("ODD").is_some();
-    let places = all.iter().enumerate().filter(|(place, _)| !odd_only || !place.is_multiple_of(2));
+    let odd = std::env::var("ODD").ok().map(|odd| odd == "1");
+    let places = all.iter().enumerate().filter(|(place, _)| odd.is_none_or(|odd| odd != place.is_multiple_of(2)));
     let found: Vec<Found> = places.filter_map(|(place, (_, record))| put_into(record, place)).collect();
     let half = |even: bool| found.iter().filter(|f| f.even == even).collect::<Vec<_>>();
     table("even places of the index", &half(true));

@@ -27,7 +27,7 @@ pub(crate) fn budget(record: &Record) -> Option<Budget> {
     let made = diagnose(record, &options, &Serial).ok()?;
     Budget::of(
         record,
-        Known { base: Some((&made.base_of_all, made.blocks.from)), noise_sd: made.floor.noise_sd, ..Known::default() },
+        Known { models: &made.of_all, from: made.blocks.from, noise_sd: made.floor.noise_sd, ..Known::default() },
     )
 }
 

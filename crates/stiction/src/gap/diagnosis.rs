@@ -19,6 +19,7 @@ use super::pairs;
 use super::probability::Calibration;
 use super::problem::{Problem, period_of};
 use super::schedule::{self, Found, Work, residual_at, residual_of};
+use super::search::Search;
 use super::signatures;
 use super::stages;
 use super::traces::Traces;
@@ -121,9 +122,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     work.begin(budget);
     let is_asked = !options.without.iter().any(|w| w == effects::neighbour::EFFECT.id);
     let others = if is_asked { &options.neighbours[..] } else { &[] };
-    let nothing_held_out = vec![false; problem.n()];
-    let base_of_all = refitted(&problem, &nothing_held_out, &[&found.base], floor.noise_floor, &mut work);
-    let base_of_all = base_of_all.and_then(|fits| fits.into_iter().next());
+    let base_of_all = of_all(&problem, &found.base, floor.noise_floor, &mut work);
     let offered = neighbours::look(record, &problem, &found, base_of_all.as_ref(), others, &mut work);
     let mut rivals = Vec::new();
     for (with, search) in offered.as_ref().map(|o| o.fits.clone()).unwrap_or_default() {
@@ -169,7 +168,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
             masked: problem.blocks.masked.clone(),
         },
         model_after: base.model.clone(),
-        base_of_all: base_of_all.unwrap_or_else(|| base.clone()),
+        of_all: base_of_all.into_iter().collect(),
         base,
         given,
         effects,
@@ -204,6 +203,8 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         found.searches.extend(searches);
     }
     run_forward(record, &problem, &found, &mut made, &mut work);
+    let cause = found.searches.iter().find(|search| search.structure.id_in(&problem) == made.cause.id);
+    made.of_all.extend(cause.and_then(|search| of_all(&problem, search, made.floor.noise_floor, &mut work)));
     made.confirm();
     made.next_test = next_test(&problem, &found, &made);
     made.evaluations = work.done;
@@ -212,6 +213,12 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         made.ended = Ended::Stopped;
     }
     Ok(made)
+}
+
+/// The best of a search, fitted to all of the record; `None` where there is no time for it, or no place is found.
+fn of_all(problem: &Problem, search: &Search, floor: Option<f64>, work: &mut Work<'_>) -> Option<Fit> {
+    let nothing = vec![false; problem.n()];
+    refitted(problem, &nothing, &[search], floor, work)?.pop()
 }
 
 fn scales<'a>(

@@ -13,6 +13,7 @@ use super::loop_run::Cycles;
 use super::model::Model;
 use super::pool::WindowNote;
 use super::sizes::Quantity;
+use super::structure::BASE;
 use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp, Parameter, UNKNOWN};
 use super::typical::{self, Known, TypicalNote};
 use crate::record::Record;
@@ -293,7 +294,9 @@ impl GapDocument {
         let budget = Budget::of(record, known(diagnosis));
         let explained = document.closed_loop.as_ref().map(|cycles| cycles.controller.r2);
         let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.base.slips, explained));
-        let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures));
+        let all = document.effects.iter().chain(&document.pairs);
+        let cause = all.clone().find(|e| e.id == document.cause.id).map(|e| (&e.parameters, document.cause.confirmed));
+        let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures, cause));
         Self { budget, ..document.telling(tellable) }
     }
 
@@ -382,8 +385,11 @@ impl GapDocument {
 
 /// What the diagnosis knows for the budget: the base's valve and PV's noise.
 fn known(diagnosis: &Diagnosis) -> budget::Known<'_> {
+    // Pooled windows may have decided on another cause.
+    let is_current = |fit: &&Fit| [BASE, diagnosis.cause.id.as_str()].contains(&fit.id.as_str());
     budget::Known {
-        base: Some((&diagnosis.base_of_all, diagnosis.blocks.from)),
+        models: &diagnosis.of_all[..diagnosis.of_all.iter().take_while(is_current).count()],
+        from: diagnosis.blocks.from,
         period: None,
         noise_sd: diagnosis.floor.noise_sd,
         loads: &diagnosis.loads,

@@ -16,8 +16,8 @@ use super::types::{
 pub struct Diagnosis {
     /// The base, refitted.
     pub base: Fit,
-    /// The same, fitted to the held-out blocks as well: what the budget begins from.
-    pub base_of_all: Fit,
+    /// The base, and the base with the cause where the search fitted that, on all of the record: what the budget begins from.
+    pub of_all: Vec<Fit>,
     /// The given model as it was given.
     pub given: Option<Fit>,
     /// Gap of the base over PV's standard deviation.

@@ -15,6 +15,9 @@ pub(crate) struct Structure {
     pub effects: [Option<&'static Effect>; 2],
 }
 
+/// Id of a structure without an effect.
+pub(crate) const BASE: &str = "base";
+
 impl Structure {
     /// The base alone.
     #[must_use]
@@ -37,7 +40,7 @@ impl Structure {
     #[must_use]
     pub(crate) fn id(&self) -> String {
         let ids: Vec<&str> = self.each().map(|e| e.id).collect();
-        if ids.is_empty() { "base".to_owned() } else { ids.join("+") }
+        if ids.is_empty() { BASE.to_owned() } else { ids.join("+") }
     }
 
     /// The id in documents, with the name of the problem's neighbour.

@@ -6,14 +6,12 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::series::Series;
+use super::series::{START, Series};
 use super::student::Student;
 use crate::signal::stats;
 
 /// Orders of A that are tried.
 pub(crate) const ORDERS: [usize; 5] = [1, 2, 4, 8, 12];
-/// First point whose innovation counts: the lags of the ones before reach beyond the record.
-pub(crate) const START: usize = 24;
 /// Bins of u, and how many of them reach over a period.
 const BINS: usize = 8;
 const BINS_IN_PERIOD: f64 = 24.0;
@@ -27,10 +25,10 @@ const LARGEST: f64 = 20.0;
 /// A series with a signal that drives it.
 #[derive(Debug, Clone)]
 pub struct Design {
-    /// PV in standard deviations, less the base's free run if there is one.
+    /// PV in standard deviations, less a model's free run if there is one.
     pub y: Vec<f64>,
-    /// The base's free run, less its mean.
-    base: Option<Vec<f64>>,
+    /// That free run.
+    run: Option<Vec<f64>>,
     /// Flat bins of u at each point.
     bins: Vec<Vec<f64>>,
     /// Points in a bin.
@@ -113,23 +111,21 @@ impl Design {
     pub(crate) fn new(series: &Series, u: Option<&[f64]>) -> Self {
         let width = ((series.period / BINS_IN_PERIOD).round() as usize).max(1);
         let bins = u.map(|u| bins(u, width)).unwrap_or_default();
-        Self { y: series.pv.clone(), base: None, bins, width, used: vec![true; series.n()] }
+        Self { y: series.pv.clone(), run: None, bins, width, used: vec![true; series.n()] }
     }
 
     /// The design of what a free run leaves of a series.
     #[must_use]
-    pub(crate) fn less_base(series: &Series, prediction: &[f64]) -> Self {
-        let mean = stats::mean(prediction);
-        let base: Vec<f64> = prediction.iter().map(|x| x - mean).collect();
-        let y = series.pv.iter().zip(&base).map(|(y, x)| y - x).collect();
-        Self { y, base: Some(base), ..Self::new(series, None) }
+    pub(crate) fn of_left(series: &Series, run: &[f64]) -> Self {
+        let y = series.pv.iter().zip(run).map(|(y, x)| y - x).collect();
+        Self { y, run: Some(run.to_vec()), ..Self::new(series, None) }
     }
 
     /// PV where `y` is what the free run leaves.
     #[must_use]
     pub(crate) fn pv(&self, y: &[f64]) -> Vec<f64> {
-        match &self.base {
-            Some(base) => y.iter().zip(base).map(|(y, x)| y + x).collect(),
+        match &self.run {
+            Some(run) => y.iter().zip(run).map(|(y, x)| y + x).collect(),
             None => y.to_vec(),
         }
     }
@@ -237,12 +233,12 @@ impl Design {
         x
     }
 
-    /// What valve and process make of u by themselves, the base's free run or `B/A u`, standard deviations of PV; `None` where
+    /// What valve and process make of u by themselves, a model's free run or `B/A u`, standard deviations of PV; `None` where
     /// that grows beyond what any record shows.
     #[must_use]
     pub fn simulated(&self, fit: &Fit) -> Option<Vec<f64>> {
-        if self.base.is_some() {
-            return self.base.clone();
+        if self.run.is_some() {
+            return self.run.clone();
         }
         let mut x = self.driven(fit, &vec![0.0; self.y.len()]);
         let mean = stats::mean(&x);
@@ -280,6 +276,7 @@ fn bins(u: &[f64], width: usize) -> Vec<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gap::budget::Known;
     use crate::record::Record;
     use crate::sim::noise::Noise;
 
@@ -293,7 +290,7 @@ mod tests {
             d = 0.9 * d + 0.05 * noise.gaussian();
             pv.push(x + d);
         }
-        Series::of(&Record::uniform(1.0, op, pv), None, Some(74.0)).unwrap()
+        Series::of(&Record::uniform(1.0, op, pv), &Known { period: Some(74.0), ..Known::default() }).unwrap()
     }
 
     #[test]

@@ -32,6 +32,9 @@ pub const TOLD: [f64; 2] = [104.0, 305.0];
 /// Largest factor by which a longer record is asked for.
 const MOST_LONGER: f64 = 10.0;
 
+/// Sizes of an effect by their names.
+type Sizes = BTreeMap<String, Quantity>;
+
 /// A part of PV's variance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -93,8 +96,8 @@ pub struct BudgetNote {
     pub parts: Vec<PartNote>,
     /// Why valve and process are not told from the disturbance: `process_unstable` or `parts_correlate`.
     pub no_split: Option<String>,
-    /// What drives the process in the noise model: `op`, `stem` for the stem of the base's valve, or `base` for the base's free
-    /// run.
+    /// What drives the process in the noise model: `op`, a fitted valve's `stem`, or a free run: that of the `base`, or of the
+    /// base with the `cause`.
     pub driven_by: String,
     /// Order of the noise model.
     pub order: u8,
@@ -127,9 +130,9 @@ pub struct TellableNote {
 }
 
 impl BudgetNote {
-    /// The note of a budget.
+    /// The note of a budget; `cause` has the sizes of the cause that a search named, and whether it is confirmed.
     #[must_use]
-    pub fn of(budget: &Budget, signatures: &[Signature]) -> Self {
+    pub(crate) fn of(budget: &Budget, signatures: &[Signature], cause: Option<(&Sizes, bool)>) -> Self {
         let series = &budget.series;
         let (split, deviation) = (&budget.split, series.of_pv[1]);
         let plain = |id: &str, part: Part| PartNote {
@@ -171,9 +174,16 @@ impl BudgetNote {
         if let Some(period) = split.course.period {
             course.insert("period".to_owned(), Quantity { value: period * series.point_s, unit: "s".to_owned() });
         }
+        let named = budget.model.cause(series).zip(split.cause).map(|((run, _), share)| PartNote {
+            parameters: cause.map(|(sizes, _)| sizes.clone()).unwrap_or_default(),
+            gain_nats: budget.model.lead,
+            confirmed: Some(cause.is_some_and(|(_, confirmed)| confirmed)),
+            ..plain(&run.id, share)
+        });
         let name = if split.valve_and_process.is_some() { DISTURBANCE } else { NOT_SPLIT };
         let mut parts: Vec<PartNote> =
             split.valve_and_process.into_iter().map(|part| plain(VALVE_AND_PROCESS, part)).collect();
+        parts.extend(named);
         parts.extend(budget.searched.parts().iter().enumerate().map(effect));
         parts.push(PartNote { parameters: course, ..plain(name, split.disturbance) });
         parts.extend([plain(NOISE, split.noise), plain(UNEXPLAINED, split.unexplained)]);
@@ -191,7 +201,7 @@ impl BudgetNote {
             from_s: series.time_s(0),
             parts,
             no_split: split.no_split.map(|why| why.name().to_owned()),
-            driven_by: budget.model.driver.name().to_owned(),
+            driven_by: budget.model.driven_by(series).to_owned(),
             order: budget.searched.fit.order() as u8,
             smallest: smallest.collect(),
             recorder,

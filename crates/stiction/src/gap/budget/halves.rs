@@ -3,8 +3,9 @@
 //! A drift, a bend, a sinusoid or another loop's load must be in both. A step, a ramp or wild values are local: the half around
 //! them must show them by itself, and a noise model fitted to the rest of the record must predict the half better with them than without.
 
-use super::arx::{Design, Fit, START};
+use super::arx::{Design, Fit};
 use super::search::{Model, Searched};
+use super::series::START;
 use super::shapes::Shape;
 
 /// Nats that an effect of a given size gains at least where its noise model was fitted elsewhere.

@@ -27,8 +27,10 @@ use series::Series;
 /// What is known of a record before.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Known<'a> {
-    /// The base, fitted to all of the record, and the first point of its free run that is valid.
-    pub base: Option<(&'a Fit, usize)>,
+    /// The base, fitted to all of the record, and the base with the cause where one is named.
+    pub models: &'a [Fit],
+    /// First point at which their free runs are valid.
+    pub from: usize,
     /// Period of the oscillation, points.
     pub period: Option<f64>,
     /// Standard deviation of PV's noise, PV units.
@@ -64,7 +66,7 @@ impl Budget {
         if !finite(&record.pv) || !finite(&record.op_path) {
             return None;
         }
-        let series = Series::of(record, known.base, known.period)?.with_loads(known.loads);
+        let series = Series::of(record, &known)?;
         let model = Model::of(&series)?;
         let searched = search::search(&series, &model);
         let confirmed = (0..searched.added.len()).map(|k| halves::confirm(&model, &searched, k)).collect();
@@ -161,7 +163,7 @@ mod tests {
         }
 
         pub(super) fn series_of(&self, record: Record) -> Series {
-            Series::of(&record, None, Some(150.0)).unwrap()
+            Series::of(&record, &Known { period: Some(150.0), ..Known::default() }).unwrap()
         }
 
         pub(super) fn series(&self, seed: u64) -> Series {
@@ -201,7 +203,7 @@ mod tests {
         let behind = load.behind(6.0, 4.0, N);
         record.pv.iter_mut().zip(&behind).enumerate().for_each(|(k, (y, x))| *y += acts(k) * x);
         let budget = Budget::of(&record, Known { loads: core::slice::from_ref(load), ..Known::default() }).unwrap();
-        document::BudgetNote::of(&budget, &[]).parts.into_iter().find(|part| part.id == "neighbour(F7)")
+        document::BudgetNote::of(&budget, &[], None).parts.into_iter().find(|part| part.id == "neighbour(F7)")
     }
 
     #[test]
@@ -222,7 +224,7 @@ mod tests {
         let note = |of: Loop| {
             let budget = Budget::of(&of.run(1).0, Known { period: Some(150.0), ..Known::default() }).unwrap();
             let named = budget.named();
-            (named, document::BudgetNote::of(&budget, &[]))
+            (named, document::BudgetNote::of(&budget, &[], None))
         };
         let (named, both) = note(Loop { step: 1.5, pulse: 1.5, ..Loop::default() });
         assert_eq!(named, [(document::UPSETS.to_owned(), true)]);
@@ -274,7 +276,7 @@ mod tests {
             let op: Vec<f64> = pv.iter().map(|y| if kind == 2 { -y } else { y * y - (y * 3.0).round() }).collect();
             let budget = Budget::of(&Record::uniform(1.0, op, pv), Known::default());
             if let Some(budget) = budget {
-                let note = document::BudgetNote::of(&budget, &[]);
+                let note = document::BudgetNote::of(&budget, &[], None);
                 let sum: f64 = note.parts.iter().map(|p| p.share_pct).sum();
                 prop_assert!((sum - 100.0).abs() < 1e-6, "{sum}: {note:?}");
                 prop_assert!(note.parts.iter().all(|p| p.sd.is_finite() && p.sd >= 0.0), "{note:?}");

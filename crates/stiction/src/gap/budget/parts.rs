@@ -6,9 +6,9 @@
 
 use core::f64::consts::PI;
 
-use super::arx::{Fit, START};
+use super::arx::Fit;
 use super::search::{Driver, Model, Searched};
-use super::series::Series;
+use super::series::{START, Series};
 use crate::signal::stats;
 
 /// Correlation of two parts from which their split is arbitrary.
@@ -61,6 +61,8 @@ pub struct Split {
     pub valve_and_process: Option<Part>,
     /// Why not.
     pub no_split: Option<NoSplit>,
+    /// What the driving model's effect explains beyond the base, each fitted for itself.
+    pub cause: Option<Part>,
     /// Each part of [`Searched::parts`].
     pub effects: Vec<Part>,
     /// What wanders, as far as its own past predicts it; with valve and process where these are not told from it.
@@ -79,16 +81,27 @@ pub struct Split {
 #[must_use]
 pub(crate) fn split(series: &Series, model: &Model, searched: &Searched, noise: Option<f64>) -> Split {
     let pv = model.design.pv(&model.design.y);
-    let y = &pv;
+    let y = &pv[START..];
     let fit = &searched.fit;
     let part =
         |x: &[f64]| Part { share: covariance(x, y) / stats::variance(y), size: stats::std_dev(x) / stats::std_dev(y) };
-    let effects: Vec<Vec<f64>> = searched.parts().iter().map(|effects| searched.sum(effects)).collect();
-    let mut rest = y.clone();
+    // Free runs may be wrong before the first innovation.
+    let late = |x: Vec<f64>| x[START.min(x.len())..].to_vec();
+    let effects: Vec<Vec<f64>> = searched.parts().iter().map(|effects| late(searched.sum(effects))).collect();
+    let mut rest = y.to_vec();
     for effect in &effects {
         rest.iter_mut().zip(effect).for_each(|(rest, x)| *rest -= x);
     }
-    let process = model.design.simulated(fit);
+    let cause = model.cause(series).map(|(run, base)| {
+        let added = run.pv.iter().zip(&base.pv).map(|(with, without)| with - without).collect();
+        late(added)
+    });
+    let less_cause = |mut x: Vec<f64>| {
+        x.iter_mut().zip(cause.iter().flatten()).for_each(|(x, added)| *x -= added);
+        x
+    };
+    let process = model.design.simulated(fit).map(|x| less_cause(late(x)));
+    rest = less_cause(rest);
     let mut no_split = process.is_none().then_some(NoSplit::Unstable);
     let mut valve_and_process = None;
     if let Some(x) = &process {
@@ -101,24 +114,24 @@ pub(crate) fn split(series: &Series, model: &Model, searched: &Searched, noise: 
             rest = left;
         }
     }
-    let mut e = vec![0.0; START];
-    e.extend_from_slice(&fit.e);
-    let [all, new] = [part(&rest), part(&e)];
-    rest.iter_mut().zip(&e).for_each(|(rest, e)| *rest -= e);
+    let e = &fit.e;
+    let [all, new] = [part(&rest), part(e)];
+    rest.iter_mut().zip(e).for_each(|(rest, e)| *rest -= e);
     let disturbance = Part { share: all.share - new.share, size: part(&rest).size };
     let (least, course) = spectrum(fit, y.len());
     let power = (stats::variance(&fit.e) / stats::variance(y)).max(f64::MIN_POSITIVE);
     let white = noise.map_or(1.0, |noise| noise * noise / power).min(least).min(1.0);
     let of = |share: f64| Part { share: share * new.share, size: share.sqrt() * new.size };
     let gain = match model.driver {
-        Driver::Base => series.base.as_ref().and_then(|base| base.gain),
-        Driver::Op | Driver::Stem => Some(fit.b.iter().sum::<f64>() / fit.a.iter().sum::<f64>()),
+        Driver::Run(place) => series.runs[place].gain,
+        Driver::Op | Driver::Stem(_) => Some(fit.b.iter().sum::<f64>() / fit.a.iter().sum::<f64>()),
     };
     Split {
         effects: effects.iter().map(|x| part(x)).collect(),
         gain: process.and(gain).filter(|gain| gain.is_finite()),
         valve_and_process,
         no_split,
+        cause: cause.as_deref().map(part),
         disturbance,
         course,
         noise: of(white),

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use super::arx::{Fit, START, whitened};
-use super::series::Series;
+use super::arx::{Fit, whitened};
+use super::series::{START, Series};
 use super::shapes::{Shape, wave};
 use crate::gap::neighbour::Load;
 use crate::signal::stats;
@@ -346,6 +346,7 @@ fn best<T: Copy>(mut found: Vec<(f64, T)>, most: usize, apart: impl Fn(T, T) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gap::budget::Known;
     use crate::gap::budget::arx::Design;
     use crate::record::Record;
     use crate::sim::noise::Noise;
@@ -361,7 +362,8 @@ mod tests {
                 y + if k >= 300 { 2.0 } else { 0.0 }
             })
             .collect();
-        let series = Series::of(&Record::uniform(1.0, op, pv), None, Some(40.0)).unwrap();
+        let known = Known { period: Some(40.0), ..Known::default() };
+        let series = Series::of(&Record::uniform(1.0, op, pv), &known).unwrap();
         let fit = Design::new(&series, Some(&series.op)).fit(4, &[], None).unwrap();
         let scan = Scan::new(&fit, 500).unwrap();
         let long = |onset: usize| scan.gain_of(&whitened(&fit.a, &Shape::Step(onset).columns(500, &[])[0])[START..]);

@@ -2,8 +2,9 @@
 
 use super::arx::{Design, Fit};
 use super::scan::Scan;
-use super::series::Series;
+use super::series::{Run, Series};
 use super::shapes::Shape;
+use crate::gap::structure::BASE;
 use crate::signal::stats;
 use crate::sim::noise::{Noise, stream_of};
 
@@ -26,6 +27,8 @@ const APART: f64 = 1.2;
 const LOW_ROUNDS: usize = 5;
 /// Largest deviation of the process' part that counts in drift and bend, standard deviations of PV.
 const MOST_DRIVEN: f64 = 6.0;
+/// Parameters of a sticking valve.
+const BANDS: usize = 2;
 /// Variance of it beyond which OP itself takes its place.
 const FAR: f64 = 100.0;
 
@@ -34,22 +37,10 @@ const FAR: f64 = 100.0;
 pub enum Driver {
     /// OP, through B/A.
     Op,
-    /// The base's stem, through B/A.
-    Stem,
-    /// The base itself: the noise model is one of what its free run leaves.
-    Base,
-}
-
-impl Driver {
-    /// As documents have it.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Op => "op",
-            Self::Stem => "stem",
-            Self::Base => "base",
-        }
-    }
+    /// The stem of one of [`Series::runs`], through B/A.
+    Stem(usize),
+    /// One of [`Series::runs`]: the noise model is one of what it leaves.
+    Run(usize),
 }
 
 /// The noise model of a series.
@@ -63,42 +54,77 @@ pub struct Model {
     pub driven: Vec<f64>,
     /// What drives it.
     pub driver: Driver,
+    /// Nats by which that beats the next best; `None` where nothing else drives it.
+    pub lead: Option<f64>,
     /// Log likelihood that OP adds to PV's own past, nats.
     pub gain_by_op: f64,
+}
+
+/// A driver with its fit.
+#[derive(Debug, Clone)]
+struct Choice {
+    driver: Driver,
+    design: Design,
+    fit: Fit,
+    bic: f64,
+}
+
+impl Choice {
+    fn of(driver: Driver, design: Design, parameters: usize) -> Option<Self> {
+        let (fit, bic) = design.best(parameters)?;
+        Some(Self { driver, design, fit, bic })
+    }
 }
 
 impl Model {
     /// Chooses the driver and the order by BIC; `None` where nothing can be fitted.
     #[must_use]
     pub(crate) fn of(series: &Series) -> Option<Self> {
-        /// Parameters of a sticking valve.
-        const BANDS: usize = 2;
-        let alone = Design::new(series, None).best(0)?;
-        let by_op = Design::new(series, Some(&series.op));
-        let by_op = (by_op.best(0)?, by_op, Driver::Op);
-        let by_stem = series.stem.as_ref().and_then(|stem| {
-            let design = Design::new(series, Some(stem));
-            Some((design.best(BANDS)?, design, Driver::Stem))
-        });
-        let by_base = series.base.as_ref().and_then(|base| {
-            let design = Design::less_base(series, &base.pv);
-            Some((design.best(base.parameters)?, design, Driver::Base))
-        });
-        type Choice = ((Fit, f64), Design, Driver);
-        let more_likely = |x: Choice, y: Choice| if y.0.1 > x.0.1 { y } else { x };
-        let by_u = by_stem.into_iter().fold(by_op, more_likely);
-        let gain_by_op = by_u.0.0.log_likelihood() - alone.0.log_likelihood();
-        let ((base, _), design, driver) = by_base.into_iter().fold(by_u, more_likely);
-        let driven = design.simulated(&base).filter(|x| stats::variance(x) < FAR);
-        let u = if driver == Driver::Op { Some(&series.op) } else { series.stem.as_ref() };
-        let driven = driven.or_else(|| u.cloned())?;
+        let alone = Design::new(series, None).best(0)?.0;
+        let mut choices = vec![Choice::of(Driver::Op, Design::new(series, Some(&series.op)), 0)?];
+        for (place, run) in series.runs.iter().enumerate() {
+            let by_stem = |stem: &Vec<f64>| Choice::of(Driver::Stem(place), Design::new(series, Some(stem)), BANDS);
+            choices.extend(run.stem.as_ref().and_then(by_stem));
+        }
+        let most = |choices: &[Choice]| choices.iter().max_by(|x, y| x.bic.total_cmp(&y.bic)).cloned();
+        let by_u = most(&choices)?;
+        for (place, run) in series.runs.iter().enumerate() {
+            choices.extend(Choice::of(Driver::Run(place), Design::of_left(series, &run.pv), run.parameters));
+        }
+        let best = most(&choices)?;
+        choices.retain(|choice| choice.driver != best.driver);
+        let u = match best.driver {
+            Driver::Op => Some(&series.op),
+            Driver::Stem(place) | Driver::Run(place) => series.runs[place].stem.as_ref(),
+        };
+        let driven = best.design.simulated(&best.fit).filter(|x| stats::variance(x) < FAR).or_else(|| u.cloned())?;
         Some(Self {
-            gain_by_op,
+            gain_by_op: by_u.fit.log_likelihood() - alone.log_likelihood(),
             driven: driven.iter().map(|d| d.clamp(-MOST_DRIVEN, MOST_DRIVEN)).collect(),
-            design,
-            base,
-            driver,
+            lead: most(&choices).map(|next| best.bic - next.bic),
+            design: best.design,
+            base: best.fit,
+            driver: best.driver,
         })
+    }
+
+    /// What drives it, as documents have it.
+    #[must_use]
+    pub(crate) fn driven_by(&self, series: &Series) -> &'static str {
+        match self.driver {
+            Driver::Op => "op",
+            Driver::Stem(_) => "stem",
+            Driver::Run(place) if series.runs[place].id == BASE => "base",
+            Driver::Run(_) => "cause",
+        }
+    }
+
+    /// The run that drives it where its model has an effect beside the base, and the base's own.
+    #[must_use]
+    pub(crate) fn cause<'s>(&self, series: &'s Series) -> Option<(&'s Run, &'s Run)> {
+        let Driver::Run(place) = self.driver else { return None };
+        let run = Some(&series.runs[place]).filter(|run| run.id != BASE)?;
+        Some((run, series.runs.iter().find(|run| run.id == BASE)?))
     }
 
     /// A series as this model's own innovations, drawn anew, make it: nothing is in it but noise.

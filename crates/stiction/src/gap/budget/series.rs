@@ -2,13 +2,15 @@
 
 use std::sync::Arc;
 
-use super::arx::START;
+use super::Known;
 use crate::gap::neighbour::Load;
 use crate::gap::problem::period_of;
 use crate::gap::types::Fit;
 use crate::record::Record;
 use crate::signal::{detrend, stats};
 
+/// First point whose innovation counts: the lags of the ones before reach beyond the record.
+pub(crate) const START: usize = 24;
 /// Most points.
 pub(crate) const MOST: usize = 900;
 /// Fewest points that are split.
@@ -25,10 +27,8 @@ pub struct Series {
     pub pv: Vec<f64>,
     /// OP, less its mean, in standard deviations.
     pub op: Vec<f64>,
-    /// The base's stem, in the same units as `op`; `None` without friction, or where the stem rests.
-    pub stem: Option<Vec<f64>>,
-    /// What the base predicts.
-    pub base: Option<Predicted>,
+    /// Free runs of the models that are known.
+    pub runs: Vec<Run>,
     /// Mean and standard deviation of PV, PV units.
     pub of_pv: [f64; 2],
     /// Standard deviation of OP, OP units.
@@ -45,11 +45,15 @@ pub struct Series {
     pub loads: Vec<Arc<Load>>,
 }
 
-/// A free run over a series.
+/// A model's free run over a series.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Predicted {
-    /// PV, in the series' units.
+pub struct Run {
+    /// `base`, or the id of the effect that the model has beside it.
+    pub id: String,
+    /// PV less its mean, in the series' units.
     pub pv: Vec<f64>,
+    /// The stem, in the units of `op`; `None` without friction, or where the stem rests.
+    pub stem: Option<Vec<f64>>,
     /// What PV gains with OP at rest, standard deviations of one over those of the other; `None` for an integrator.
     pub gain: Option<f64>,
     /// Free parameters of its model.
@@ -57,21 +61,19 @@ pub struct Predicted {
 }
 
 impl Series {
-    /// The series of a record, and its base with the first point of its free run that is valid; `period` in points of the
-    /// record. `None` where it is too short, or OP or PV does not move.
+    /// The series of a record; `None` where it is too short, or OP or PV does not move.
     #[must_use]
-    pub(crate) fn of(record: &Record, base: Option<(&Fit, usize)>, period: Option<f64>) -> Option<Self> {
+    pub(crate) fn of(record: &Record, known: &Known<'_>) -> Option<Self> {
         let n = record.len();
         if n < FEWEST {
             return None;
         }
-        let period = period.filter(|p| p.is_finite() && *p > 0.0).unwrap_or_else(|| period_of(record).0);
+        let period = known.period.filter(|p| p.is_finite() && *p > 0.0).unwrap_or_else(|| period_of(record).0);
         let fine = ((period / IN_PERIOD) as usize).max(1);
         let box_points = n.div_ceil(MOST).min(fine);
-        // The first points that count are valid ones.
-        let before = base.map_or(0, |(_, from)| from.saturating_sub(START * box_points));
+        // The first innovation that counts is one of valid predictions.
+        let before = known.from.saturating_sub(START * box_points).min(n);
         let count = ((n - before) / box_points).min(MOST);
-        let base = base.map(|(base, _)| base);
         let from = n - count * box_points;
         let boxed = |x: &[f64]| detrend::box_means(&x[from..], box_points);
         let (pv, op) = (boxed(&record.pv), boxed(&record.op()));
@@ -83,18 +85,24 @@ impl Series {
             return None;
         }
         let scaled = |x: &[f64], mean: f64, by: f64| -> Vec<f64> { x.iter().map(|v| (v - mean) / by).collect() };
-        let stem = base.filter(|base| base.model.valve.fs > 0.0).map(|base| boxed(&base.valve));
-        let stem = stem.filter(|s| stats::std_dev(s) > 1e-6 * of_op[1]);
-        let predicted = |base: &Fit| Predicted {
-            pv: scaled(&boxed(&base.prediction), of_pv[0], of_pv[1]),
-            gain: (!base.model.process.integrating).then_some(base.model.process.gain * of_op[1] / of_pv[1]),
-            parameters: base.parameters,
+        let centred = |x: &[f64], by: f64| {
+            let x = boxed(x);
+            scaled(&x, stats::mean(&x), by)
         };
-        Some(Self {
+        let run = |fit: &Fit| Run {
+            id: fit.id.clone(),
+            pv: centred(&fit.prediction, of_pv[1]),
+            stem: (fit.model.valve.fs > 0.0)
+                .then(|| centred(&fit.valve, of_op[1]))
+                .filter(|s| stats::std_dev(s) > 1e-6),
+            gain: (!fit.model.process.integrating).then_some(fit.model.process.gain * of_op[1] / of_pv[1]),
+            parameters: fit.parameters,
+        };
+        let runs: Vec<Run> = known.models.iter().map(run).collect();
+        let series = Self {
             pv: scaled(&pv, of_pv[0], of_pv[1]),
-            stem: stem.map(|s| scaled(&s, stats::mean(&s), of_op[1])),
             op: scaled(&op, of_op[0], of_op[1]),
-            base: base.map(predicted),
+            runs,
             of_pv,
             op_deviation: of_op[1],
             period: (period / box_points as f64).min(count as f64 / PERIODS).max(IN_PERIOD),
@@ -102,12 +110,12 @@ impl Series {
             from,
             point_s: record.point_s() * box_points as f64,
             loads: Vec::new(),
-        })
+        };
+        Some(series.with_loads(known.loads))
     }
 
     /// The same with loads that are given at the record's points; those that rest in the series are left out.
-    #[must_use]
-    pub(crate) fn with_loads(mut self, loads: &[Load]) -> Self {
+    fn with_loads(mut self, loads: &[Load]) -> Self {
         let boxed = |load: &Load| {
             let values = detrend::box_means(load.values.get(self.from..)?, self.box_points);
             let own = Load::new(&load.name, load.from_op, values.get(..self.n())?, load.p_value);
@@ -140,14 +148,14 @@ mod tests {
         let wave = |k: usize| libm::sin(k as f64 * 0.05);
         let record =
             |n: usize| Record::uniform(2.0, (0..n).map(wave).collect(), (0..n).map(|k| 3.0 + wave(k + 9)).collect());
-        let series = Series::of(&record(2_001), None, None).unwrap();
+        let series = Series::of(&record(2_001), &Known::default()).unwrap();
         assert_eq!((series.n(), series.box_points, series.from, series.point_s), (667, 3, 0, 6.0));
         assert!((stats::std_dev(&series.pv) - 1.0).abs() < 1e-9 && (series.of_pv[0] - 3.0).abs() < 0.05);
         assert!((series.period - 41.9).abs() < 1.0);
-        assert_eq!(Series::of(&record(FEWEST - 1), None, None), None);
-        assert_eq!(Series::of(&Record::uniform(1.0, vec![1.0; 300], record(300).pv), None, None), None);
+        assert_eq!(Series::of(&record(FEWEST - 1), &Known::default()), None);
+        assert_eq!(Series::of(&Record::uniform(1.0, vec![1.0; 300], record(300).pv), &Known::default()), None);
         // Boxes must not be wider than an eighth of the period: the record's end is used.
-        let fast = Series::of(&record(4_000), None, Some(17.0)).unwrap();
+        let fast = Series::of(&record(4_000), &Known { period: Some(17.0), ..Known::default() }).unwrap();
         assert_eq!((fast.box_points, fast.n(), fast.time_s(0)), (2, 900, 2.0 * 2_200.0));
     }
 }

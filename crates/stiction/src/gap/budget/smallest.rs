@@ -1,10 +1,10 @@
 //! From which size on an effect would have been named in this record: put into PV and looked for as any other, so that what
 //! another effect or the disturbance takes of it counts, too.
 
-use super::arx::{START, whitened};
+use super::arx::whitened;
 use super::scan::Scan;
 use super::search::{LEAST_GAIN, Model, Searched, is_same, search};
-use super::series::Series;
+use super::series::{START, Series};
 use super::shapes::Shape;
 
 /// Onsets at which the innovations of a step are asked, and the part of them at which it must show.

@@ -49,7 +49,8 @@ pub(in crate::gap) fn look(
     neighbours: &[Neighbour],
     work: &mut Work<'_>,
 ) -> Option<Offered> {
-    let (mut compared, loads) = judged(record, problem, neighbours, base, work.seed)?;
+    let (mut compared, loads) =
+        judged(record, problem, neighbours, base.map_or(&[], core::slice::from_ref), work.seed)?;
     let fits = fitted(problem, found, loads.clone(), work);
     compared.fitted = fits.iter().filter_map(|(own, _)| Some(own.neighbour.as_ref()?.name.clone())).collect();
     Some(Offered { compared, loads, fits })
@@ -61,7 +62,7 @@ pub(in crate::gap) fn look(
 pub fn compare(record: &Record, neighbours: &[Neighbour], period: Option<f64>, seed: u64) -> Option<Compared> {
     let traces = signatures::traces(record, period.unwrap_or_else(|| period_of(record).0), &[]);
     let problem = Problem::new(record, period, seed, traces.masked.clone()).fitted_where(&traces.measured);
-    judged(record, &problem, neighbours, None, seed).map(|(compared, _)| compared)
+    judged(record, &problem, neighbours, &[], seed).map(|(compared, _)| compared)
 }
 
 /// What the scan tells, which signals are rare enough to be judged, and which of them the noise model has in both halves.
@@ -69,7 +70,7 @@ fn judged(
     record: &Record,
     problem: &Problem,
     neighbours: &[Neighbour],
-    base: Option<&Fit>,
+    models: &[Fit],
     seed: u64,
 ) -> Option<(Compared, Vec<Load>)> {
     if neighbours.is_empty() {
@@ -84,18 +85,18 @@ fn judged(
         best: hits.first().map(|hit| neighbours[hit.neighbour].name.clone()),
         share: hits.first().map(|hit| hit.share),
         p_value,
-        acts: acting(record, base.map(|base| (base, problem.blocks.from)), &loads),
+        acts: acting(record, Known { models, from: problem.blocks.from, loads: &loads, ..Known::default() }),
         fitted: Vec::new(),
     };
     Some((compared, loads))
 }
 
 /// The load that gains most under the noise model, where both halves confirm it.
-fn acting(record: &Record, base: Option<(&Fit, usize)>, loads: &[Load]) -> Option<String> {
-    if loads.is_empty() {
+fn acting(record: &Record, known: Known<'_>) -> Option<String> {
+    if known.loads.is_empty() {
         return None;
     }
-    let budget = Budget::of(record, Known { base, loads, ..Known::default() })?;
+    let budget = Budget::of(record, known)?;
     let mut confirmed = budget.searched.added.iter().zip(&budget.confirmed).filter(|(_, confirmed)| **confirmed);
     confirmed.find_map(|(added, _)| match &added.shape {
         Shape::Neighbour(load, _) => Some(load.name.clone()),
