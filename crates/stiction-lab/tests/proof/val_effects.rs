@@ -2,9 +2,10 @@
 //!
 //! `SEED=60 CASES=20 cargo test -p stiction-lab --test proof val_effects -- --ignored --nocapture`
 //!
-//! Odd seeds are the development set.
+//! Odd seeds are the development set. `MODELS` are tried in a diagnosis, 20,000 unless it says so.
 
 use std::collections::BTreeMap;
+use std::str::FromStr;
 
 use stiction::detect::oscillation;
 use stiction::gap::budget::{Budget, Known};
@@ -12,28 +13,27 @@ use stiction::gap::{GapOptions, Serial, diagnose};
 use stiction::record::Record;
 use stiction_lab::challenge::{Deck, Kind, Split, TruthCase};
 
-/// Models tried for the base.
-const FEW: u64 = 20_000;
-
 /// An environment variable as a number.
-fn asked(name: &str, usual: u64) -> u64 {
+pub(crate) fn asked<T: FromStr>(name: &str, usual: T) -> T {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
 }
 
-/// The budget of a record after a short diagnosis.
-pub(crate) fn budget(record: &Record) -> Option<Budget> {
+/// The budget of a record after a short diagnosis; and the cause that has a row in it, and whether that is confirmed.
+pub(crate) fn budget(record: &Record) -> Option<(Budget, Option<(String, bool)>)> {
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
-    let options = GapOptions { period_points: period, budget_evaluations: FEW, ..GapOptions::default() };
+    let options =
+        GapOptions { period_points: period, budget_evaluations: asked("MODELS", 20_000), ..GapOptions::default() };
     let made = diagnose(record, &options, &Serial).ok()?;
-    Budget::of(
-        record,
-        Known { models: &made.of_all, from: made.blocks.from, noise_sd: made.floor.noise_sd, ..Known::default() },
-    )
+    let known =
+        Known { models: &made.of_all, from: made.blocks.from, noise_sd: made.floor.noise_sd, ..Known::default() };
+    let budget = Budget::of(record, known)?;
+    let cause = budget.model.cause(&budget.series).map(|(run, _)| (run.id.clone(), made.cause.confirmed));
+    Some((budget, cause))
 }
 
-/// What the budget names, and whether the halves confirm it.
+/// What the budget names, and whether it is confirmed.
 fn names(record: &Record) -> Vec<(String, bool)> {
-    budget(record).map(|budget| budget.named()).unwrap_or_default()
+    budget(record).map(|(budget, cause)| budget.named().into_iter().chain(cause).collect()).unwrap_or_default()
 }
 
 /// Loops, those with a name or a confirmed one of the effect itself, and of each that was not put in.
@@ -47,7 +47,7 @@ struct Row {
 #[test]
 #[ignore = "a benchmark of minutes"]
 fn steps_and_pulses_are_named_as_one_effect() {
-    let (seed, cases) = (asked("SEED", 60), asked("CASES", 20) as usize);
+    let (seed, cases) = (asked("SEED", 60), asked("CASES", 20));
     let beside = [Kind::StepLoad, Kind::Sinusoid, Kind::Ramp, Kind::ColouredNoise, Kind::UpstreamCycle];
     let kinds: Vec<Option<Kind>> = Kind::OF_BUDGET.into_iter().chain(beside).map(Some).chain([None]).collect();
     let deck = Deck::of(seed, Split::of_seed(seed), &kinds, cases);

@@ -47,9 +47,11 @@ pub struct PartNote {
     pub sd: f64,
     /// An effect's sizes; the disturbance's `period` (s) and band (`from` and `to`, Hz).
     pub parameters: BTreeMap<String, Quantity>,
-    /// Log likelihood that an effect gains under the noise model beyond what its parameters cost, nats.
+    /// Log likelihood that an effect gains under the noise model beyond what its parameters cost, nats; for the cause, what its
+    /// run gains over the next best driver.
     pub gain_nats: Option<f64>,
-    /// Whether the record's halves confirm an effect; false means "suspected", as always where a recorder changed PV.
+    /// Whether the record's halves confirm an effect; false means "suspected", as always where a recorder changed PV. Of the cause,
+    /// what the document's `cause` says.
     pub confirmed: Option<bool>,
     /// The loads of `upsets`, in time.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -121,7 +121,7 @@ impl Model {
 
     /// The run that drives it where its model has an effect beside the base, and the base's own.
     #[must_use]
-    pub(crate) fn cause<'s>(&self, series: &'s Series) -> Option<(&'s Run, &'s Run)> {
+    pub fn cause<'s>(&self, series: &'s Series) -> Option<(&'s Run, &'s Run)> {
         let Driver::Run(place) = self.driver else { return None };
         let run = Some(&series.runs[place]).filter(|run| run.id != BASE)?;
         Some((run, series.runs.iter().find(|run| run.id == BASE)?))

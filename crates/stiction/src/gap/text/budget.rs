@@ -111,16 +111,16 @@ fn words(part: &PartNote) -> String {
         NOISE => "measurement noise".to_owned(),
         UNEXPLAINED => "unexplained: neither OP nor PV's own past predicts it".to_owned(),
         id => {
-            let halves = match part.confirmed {
-                Some(true) => "confirmed by the record's halves",
-                _ => "suspected, not confirmed by the record's halves",
+            let sure = match part.confirmed {
+                Some(true) => "confirmed",
+                _ => "suspected, not confirmed",
             };
             let gain = part.gain_nats.map_or_else(String::new, |g| format!(" (gain {} nats)", number(g)));
             let what = match id {
                 UPSETS => upsets(&part.events),
                 id => effect::phrase_of(id, &part.parameters),
             };
-            format!("{what}, {halves}{gain}")
+            format!("{what}, {sure}{gain}")
         }
     }
 }
@@ -212,7 +212,7 @@ mod tests {
         assert!(shares >= parts && text.contains("measurement noise"), "{text}");
         let part = &mut d.budget.as_mut().unwrap().parts[0];
         (part.id, part.confirmed) = ("gain_drift".to_owned(), Some(false));
-        assert!(report(&d).contains("a drifting gain, suspected, not confirmed by the record's halves"));
+        assert!(report(&d).contains("a drifting gain, suspected, not confirmed"));
     }
 
     #[test]
@@ -224,7 +224,7 @@ mod tests {
         assert_eq!(
             words(&part),
             format!(
-                "2 upsets: -1.5 PV units at 300 s, -1.5 PV units for {} at 900 s, confirmed by the record's halves (gain 40 nats)",
+                "2 upsets: -1.5 PV units at 300 s, -1.5 PV units for {} at 900 s, confirmed (gain 40 nats)",
                 duration(60.0)
             )
         );
