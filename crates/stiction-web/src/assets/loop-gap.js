@@ -16,7 +16,7 @@ const item = (term, value) => h("div", null, h("dt", null, term), h("dd", null, 
 
 function causeWords({ cause }) {
   if (cause.id === "none") return `no effect needed (p ${format.probability(cause.probability)})`;
-  if (cause.why === "cannot_be_told") return "this record cannot tell it";
+  if (cause.id === "unknown" && cause.why === "cannot_be_told") return "this record cannot tell it";
   if (cause.id === "unknown") return `no effect of the catalogue explains it (p ${format.probability(cause.probability)})`;
   return `${plain(cause.id)} (p ${format.probability(cause.probability)}${cause.confirmed ? ", confirmed on other data" : ", suspected"})`;
 }

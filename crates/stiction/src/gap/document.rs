@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::budget::document::{BudgetNote, TellableNote};
+use super::budget::document::{BudgetNote, CANNOT_BE_TOLD, NOT_IN_CATALOGUE, TOLD, TellableNote};
 use super::budget::{self, Budget};
 use super::effects;
 use super::judged::Diagnosis;
@@ -132,9 +132,23 @@ pub struct CauseNote {
     pub probability: f64,
     /// Whether it also closes the gap on held-out data and in forward prediction; false means "suspected".
     pub confirmed: bool,
-    /// Why it is `unknown`: `not_in_catalogue`, or `cannot_be_told` where the record holds too little.
+    /// Why it is `unknown`: `not_in_catalogue`, or `cannot_be_told` where the record holds too little. That is also said of an
+    /// effect of the plant that is only suspected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
+}
+
+impl CauseNote {
+    fn why_by(&self, told: &TellableNote) -> Option<&'static str> {
+        let hardly = told.gain_nats < TOLD[0];
+        // PV alone shows what a recorder did to it.
+        let is_plants = || effects::parts(&self.id).all(|id| effects::by_id(id).is_some_and(|e| e.recorder.is_none()));
+        match self.id.as_str() {
+            UNKNOWN if !hardly => Some(NOT_IN_CATALOGUE),
+            UNKNOWN => Some(CANNOT_BE_TOLD),
+            _ => (hardly && !self.confirmed && is_plants()).then_some(CANNOT_BE_TOLD),
+        }
+    }
 }
 
 /// Another possible answer.
@@ -294,14 +308,13 @@ impl GapDocument {
         let budget = Budget::of(record, known(diagnosis));
         let explained = document.closed_loop.as_ref().map(|cycles| cycles.controller.r2);
         let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.base.slips, explained));
-        let all = document.effects.iter().chain(&document.pairs);
-        let cause = all.clone().find(|e| e.id == document.cause.id).map(|e| (&e.parameters, document.cause.confirmed));
+        let cause = document.named().map(|e| (&e.parameters, document.cause.confirmed));
         let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures, cause));
         Self { budget, ..document.telling(tellable) }
     }
 
     fn telling(self, tellable: Option<TellableNote>) -> Self {
-        let why = tellable.as_ref().filter(|_| self.cause.id == UNKNOWN).map(|told| told.why().to_owned());
+        let why = tellable.as_ref().and_then(|told| self.cause.why_by(told)).map(str::to_owned);
         Self { cause: CauseNote { why, ..self.cause }, tellable, ..self }
     }
 

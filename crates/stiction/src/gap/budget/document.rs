@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 
 use super::Budget;
 use super::parts::Part;
-use super::shapes::Shape;
 use crate::gap::effects;
 use crate::gap::sizes::Quantity;
 use crate::gap::types::{Signature, Slip};
@@ -64,7 +63,7 @@ pub struct PartNote {
 pub struct EventNote {
     /// Time after the record's start, s.
     pub at_s: f64,
-    /// Its height, PV units.
+    /// Its height, PV units; of one that enters before the process the largest that PV would come to if OP rested.
     pub size: f64,
     /// How long it lasts, s; `None` for a step, which stays.
     pub length_s: Option<f64>,
@@ -189,9 +188,9 @@ impl BudgetNote {
         parts.extend(budget.searched.parts().iter().enumerate().map(effect));
         parts.push(PartNote { parameters: course, ..plain(name, split.disturbance) });
         parts.extend([plain(NOISE, split.noise), plain(UNEXPLAINED, split.unexplained)]);
-        let step = budget.smallest_step.map(|size| (Shape::Step(0).id(), size, None));
+        let step = budget.smallest_step.map(|size| (effects::step_load::EFFECT.id, size, None));
         let wave =
-            budget.smallest_sinusoid.map(|(size, f)| (Shape::Sinusoid(0.0).id(), size, Some(series.point_s / f)));
+            budget.smallest_sinusoid.map(|(size, f)| (effects::sinusoid::EFFECT.id, size, Some(series.point_s / f)));
         let smallest = step.into_iter().chain(wave).map(|(id, size, period_s)| SmallestNote {
             id: id.to_owned(),
             size: size * deviation,
@@ -258,12 +257,6 @@ impl TellableNote {
             helps: helps.iter().filter(|(_, helps)| *helps).map(|(id, _)| (*id).to_owned()).collect(),
             times_as_long: times,
         }
-    }
-
-    /// Why an answer is `unknown`: the catalogue lacks the cause, or the record cannot tell it.
-    #[must_use]
-    pub fn why(&self) -> &'static str {
-        if self.gain_nats < TOLD[0] { CANNOT_BE_TOLD } else { NOT_IN_CATALOGUE }
     }
 }
 

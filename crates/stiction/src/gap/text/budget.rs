@@ -15,10 +15,10 @@ fn too_little(d: &GapDocument) -> Option<&TellableNote> {
     d.tellable.as_ref().filter(|_| d.cause.why.as_deref() == Some(CANNOT_BE_TOLD))
 }
 
-/// The clause that says why the cause is unknown.
+/// The clause that says why the cause is unknown or only suspected.
 pub(super) fn why_unknown(d: &GapDocument) -> Option<String> {
     let nats = number(too_little(d)?.gain_nats);
-    Some(format!("this record cannot tell which: beyond PV's own past, OP predicts only {nats} nats of PV"))
+    Some(format!("this record cannot tell: beyond PV's own past, OP predicts only {nats} nats of PV"))
 }
 
 /// The conclusion where the record cannot tell the cause.
