@@ -1,5 +1,5 @@
 //! Known effects in real loops: the recording's own disturbance and what its controller does beside PID are kept, and the loop
-//! is closed again over valve, process and PID with the effect in it, so that OP answers.
+//! is closed again over process and PID with the effect in it, so that OP answers.
 //!
 //! The differences to the recording are simulated: PV's by the noise model's A and B from the difference that OP makes,
 //! OP's by the controller as read from the recording. Without an effect the recording itself comes out.

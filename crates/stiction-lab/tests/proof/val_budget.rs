@@ -9,7 +9,7 @@
 use std::collections::BTreeSet;
 
 use crate::labelled::{self, RECORDINGS, cells};
-use crate::val_effects::{asked, budget};
+use crate::val_effects::{budget, from_env};
 
 use stiction::detect::oscillation;
 use stiction::gap::budget::document::{CANNOT_BE_TOLD, DISTURBANCE, NOISE, NOT_SPLIT, UNEXPLAINED, VALVE_AND_PROCESS};
@@ -122,6 +122,7 @@ fn least(record: &Record, factor: f64) -> Option<[Vec<bool>; 2]> {
     let (printed, _) = budget(record)?;
     let closing = closing(record)?;
     let own = Loop { record, budget: &closing };
+    let factor = factor * printed.series.of_pv[1] / closing.series.of_pv[1];
     let has = |record: &Record, id: &str| names(record).iter().any(|(found, _)| *found == id);
     let places: Vec<f64> = (0..CHECKS).map(|k| (k as f64 + 0.7) / (CHECKS as f64 + 0.4)).collect();
     let step = |size: f64| places.iter().map(|at| has(&own.with_step(factor * size, *at), "step_load")).collect();
@@ -142,7 +143,7 @@ fn of_half(all: &[(String, Record)]) -> Vec<(usize, &Record)> {
 #[ignore = "a benchmark of minutes"]
 fn effects_of_the_printed_least_size_are_named() {
     let Some(all) = with_a_cycle("effects_of_the_printed_least_size_are_named") else { return };
-    let factor = asked("FACTOR", 1.0);
+    let factor = from_env("FACTOR", 1.0);
     let found: Vec<[Vec<bool>; 2]> =
         of_half(&all).into_iter().filter_map(|(_, record)| least(record, factor)).collect();
     for (kind, id) in ["step", "sinusoid"].iter().enumerate() {

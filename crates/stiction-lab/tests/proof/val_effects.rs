@@ -14,7 +14,7 @@ use stiction::record::Record;
 use stiction_lab::challenge::{Deck, Kind, Split, TruthCase};
 
 /// An environment variable as a number.
-pub(crate) fn asked<T: FromStr>(name: &str, usual: T) -> T {
+pub(crate) fn from_env<T: FromStr>(name: &str, usual: T) -> T {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
 }
 
@@ -22,10 +22,10 @@ pub(crate) fn asked<T: FromStr>(name: &str, usual: T) -> T {
 pub(crate) fn budget(record: &Record) -> Option<(Budget, Option<(String, bool)>)> {
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let options =
-        GapOptions { period_points: period, budget_evaluations: asked("MODELS", 20_000), ..GapOptions::default() };
+        GapOptions { period_points: period, budget_evaluations: from_env("MODELS", 20_000), ..GapOptions::default() };
     let made = diagnose(record, &options, &Serial).ok()?;
     let known =
-        Known { models: &made.of_all, from: made.blocks.from, noise_sd: made.floor.noise_sd, ..Known::default() };
+        Known { models: &made.fits_to_all, from: made.blocks.from, noise_sd: made.floor.noise_sd, ..Known::default() };
     let budget = Budget::of(record, known)?;
     let cause = budget.model.cause(&budget.series).map(|(run, _)| (run.id.clone(), made.cause.confirmed));
     Some((budget, cause))
@@ -47,7 +47,7 @@ struct Row {
 #[test]
 #[ignore = "a benchmark of minutes"]
 fn steps_and_pulses_are_named_as_one_effect() {
-    let (seed, cases) = (asked("SEED", 60), asked("CASES", 20));
+    let (seed, cases) = (from_env("SEED", 60), from_env("CASES", 20));
     let beside = [Kind::StepLoad, Kind::Sinusoid, Kind::Ramp, Kind::ColouredNoise, Kind::UpstreamCycle];
     let kinds: Vec<Option<Kind>> = Kind::OF_BUDGET.into_iter().chain(beside).map(Some).chain([None]).collect();
     let deck = Deck::of(seed, Split::of_seed(seed), &kinds, cases);
@@ -58,7 +58,11 @@ fn steps_and_pulses_are_named_as_one_effect() {
         let TruthCase { effect, form, .. } = dealt.truth;
         let row = rows.entry(form.map_or(effect.clone(), |form| format!("{effect}, {form}"))).or_default();
         row.of += 1;
+        let mut once: BTreeMap<String, bool> = BTreeMap::new();
         for (id, sure) in names {
+            *once.entry(id).or_default() |= sure;
+        }
+        for (id, sure) in once {
             let count = if id == effect { &mut row.right } else { row.others.entry(id).or_default() };
             count[0] += 1;
             count[1] += usize::from(sure);

@@ -119,11 +119,11 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
     let Some(Searched { traces, problem, mut floor, mut found }) = searched else { return Err(no_base) };
     let mut problem = problem;
+    let base_fit = fit_to_all(&problem, &found.base, floor.noise_floor, &mut work);
     work.begin(budget);
     let is_asked = !options.without.iter().any(|w| w == effects::neighbour::EFFECT.id);
     let others = if is_asked { &options.neighbours[..] } else { &[] };
-    let base_of_all = of_all(&problem, &found.base, floor.noise_floor, &mut work);
-    let offered = neighbours::look(record, &problem, &found, base_of_all.as_ref(), others, &mut work);
+    let offered = neighbours::look(record, &problem, &found, base_fit.as_ref(), others, &mut work);
     let mut rivals = Vec::new();
     for (with, search) in offered.as_ref().map(|o| o.fits.clone()).unwrap_or_default() {
         // The best one now counts as an effect like any other; the others are weighed alone.
@@ -168,7 +168,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
             masked: problem.blocks.masked.clone(),
         },
         model_after: base.model.clone(),
-        of_all: base_of_all.into_iter().collect(),
+        fits_to_all: base_fit.into_iter().collect(),
         base,
         given,
         effects,
@@ -203,8 +203,9 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         found.searches.extend(searches);
     }
     run_forward(record, &problem, &found, &mut made, &mut work);
-    let cause = found.searches.iter().find(|search| search.structure.id_in(&problem) == made.cause.id);
-    made.of_all.extend(cause.and_then(|search| of_all(&problem, search, made.floor.noise_floor, &mut work)));
+    let is_cause = |search: &&Search| !made.fits_to_all.is_empty() && search.structure.id_in(&problem) == made.cause.id;
+    let cause = found.searches.iter().find(is_cause);
+    made.fits_to_all.extend(cause.and_then(|search| fit_to_all(&problem, search, made.floor.noise_floor, &mut work)));
     made.confirm();
     made.next_test = next_test(&problem, &found, &made);
     made.evaluations = work.done;
@@ -216,7 +217,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
 }
 
 /// The best of a search, fitted to all of the record; `None` where there is no time for it, or no place is found.
-fn of_all(problem: &Problem, search: &Search, floor: Option<f64>, work: &mut Work<'_>) -> Option<Fit> {
+fn fit_to_all(problem: &Problem, search: &Search, floor: Option<f64>, work: &mut Work<'_>) -> Option<Fit> {
     let nothing = vec![false; problem.n()];
     refitted(problem, &nothing, &[search], floor, work)?.pop()
 }

@@ -14,7 +14,7 @@ use super::model::Model;
 use super::pool::WindowNote;
 use super::sizes::Quantity;
 use super::structure::BASE;
-use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp, Parameter, UNKNOWN};
+use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp, Parameter, Stage, UNKNOWN};
 use super::typical::{self, Known, TypicalNote};
 use crate::record::Record;
 use crate::signal::stats;
@@ -141,12 +141,13 @@ pub struct CauseNote {
 impl CauseNote {
     fn why_by(&self, told: &TellableNote) -> Option<&'static str> {
         let hardly = told.gain_nats < TOLD[0];
-        // PV alone shows what a recorder did to it.
-        let is_plants = || effects::parts(&self.id).all(|id| effects::by_id(id).is_some_and(|e| e.recorder.is_none()));
+        // PV alone shows what a sensor or a recorder did to it.
+        let acts_in_plant =
+            || effects::parts(&self.id).all(|id| effects::by_id(id).is_some_and(|e| e.stage != Stage::Measurement));
         match self.id.as_str() {
             UNKNOWN if !hardly => Some(NOT_IN_CATALOGUE),
             UNKNOWN => Some(CANNOT_BE_TOLD),
-            _ => (hardly && !self.confirmed && is_plants()).then_some(CANNOT_BE_TOLD),
+            _ => (hardly && !self.confirmed && acts_in_plant()).then_some(CANNOT_BE_TOLD),
         }
     }
 }
@@ -396,12 +397,12 @@ impl GapDocument {
     }
 }
 
-/// What the diagnosis knows for the budget: the base's valve and PV's noise.
+/// What the diagnosis knows for the budget: the models fitted to the whole record, PV's noise and the loads.
 fn known(diagnosis: &Diagnosis) -> budget::Known<'_> {
     // Pooled windows may have decided on another cause.
     let is_current = |fit: &&Fit| [BASE, diagnosis.cause.id.as_str()].contains(&fit.id.as_str());
     budget::Known {
-        models: &diagnosis.of_all[..diagnosis.of_all.iter().take_while(is_current).count()],
+        models: &diagnosis.fits_to_all[..diagnosis.fits_to_all.iter().take_while(is_current).count()],
         from: diagnosis.blocks.from,
         period: None,
         noise_sd: diagnosis.floor.noise_sd,

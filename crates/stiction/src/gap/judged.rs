@@ -17,7 +17,7 @@ pub struct Diagnosis {
     /// The base, refitted.
     pub base: Fit,
     /// The base, and the base with the cause where the search fitted that, on all of the record: what the budget begins from.
-    pub of_all: Vec<Fit>,
+    pub fits_to_all: Vec<Fit>,
     /// The given model as it was given.
     pub given: Option<Fit>,
     /// Gap of the base over PV's standard deviation.

@@ -24,7 +24,7 @@ pub fn paragraph(d: &GapDocument) -> String {
         UNKNOWN => not_in_the_catalogue(d),
         _ => d.named().map_or_else(|| without_fit(d), |e| named(d, e)),
     });
-    parts.extend(budget::why_unknown(d));
+    parts.extend(budget::why_unsure(d));
     parts.extend(beside(d));
     parts.extend(outside(d));
     if let Some(test) = &d.next_test {

@@ -1,4 +1,5 @@
-//! The noise model: PV's own past and what the valve did, `A(q) y = B u + c + e` (ARX, Ljung 1999, ch. 4).
+//! The noise model: PV's own past and what the valve did, `A(q) y = B u + c + e` (ARX, Ljung 1999, ch. 4); or, without B, the
+//! past of what a model's free run leaves of PV.
 //!
 //! B is eight flat bins of u that begin one point back: at lag 0 the fit would find the inverse controller. An effect `E` with
 //! coefficients `beta` enters as `A(q) (y - E beta)`, so that it is seen through the innovations and not through a free run;
@@ -116,7 +117,7 @@ impl Design {
 
     /// The design of what a free run leaves of a series.
     #[must_use]
-    pub(crate) fn of_left(series: &Series, run: &[f64]) -> Self {
+    pub(crate) fn of_residual(series: &Series, run: &[f64]) -> Self {
         let y = series.pv.iter().zip(run).map(|(y, x)| y - x).collect();
         Self { y, run: Some(run.to_vec()), ..Self::new(series, None) }
     }

@@ -38,7 +38,7 @@ type Sizes = BTreeMap<String, Quantity>;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PartNote {
-    /// `valve_and_process`, an effect's id, `upsets`, `disturbance`, `valve_process_and_disturbance`, `noise` or `unexplained`.
+    /// `valve_and_process`, the id of an effect or of the cause, `upsets`, `disturbance`, `valve_process_and_disturbance`, `noise` or `unexplained`.
     pub id: String,
     /// Share of PV's variance, %; all parts sum to 100. Negative for a part that works against the others.
     pub share_pct: f64,
@@ -65,6 +65,9 @@ pub struct EventNote {
     pub at_s: f64,
     /// Its height, PV units; of one that enters before the process the largest that PV would come to if OP rested.
     pub size: f64,
+    /// Whether it enters straight into PV, and not before the process.
+    #[serde(default)]
+    pub straight: bool,
     /// How long it lasts, s; `None` for a step, which stays.
     pub length_s: Option<f64>,
     /// Whether the record's halves confirm it.
@@ -155,7 +158,7 @@ impl BudgetNote {
             let gain = effects.iter().map(|k| budget.searched.added[*k].gain).sum();
             let sizes = |k: usize| {
                 let beta = &budget.searched.fit.beta[budget.searched.places(k)];
-                budget.searched.added[k].shape.sizes(beta, series, split.gain)
+                budget.searched.added[k].shape.sizes(beta, &budget.model.process, series, split.gain)
             };
             let (parameters, events) = match effects.as_slice() {
                 [one] => (sizes(*one), Vec::new()),
@@ -175,7 +178,7 @@ impl BudgetNote {
         if let Some(period) = split.course.period {
             course.insert("period".to_owned(), Quantity { value: period * series.point_s, unit: "s".to_owned() });
         }
-        let named = budget.model.cause(series).zip(split.cause).map(|((run, _), share)| PartNote {
+        let cause_row = budget.model.cause(series).zip(split.cause).map(|((run, _), share)| PartNote {
             parameters: cause.map(|(sizes, _)| sizes.clone()).unwrap_or_default(),
             gain_nats: budget.model.lead,
             confirmed: Some(cause.is_some_and(|(_, confirmed)| confirmed)),
@@ -184,7 +187,7 @@ impl BudgetNote {
         let name = if split.valve_and_process.is_some() { DISTURBANCE } else { NOT_SPLIT };
         let mut parts: Vec<PartNote> =
             split.valve_and_process.into_iter().map(|part| plain(VALVE_AND_PROCESS, part)).collect();
-        parts.extend(named);
+        parts.extend(cause_row);
         parts.extend(budget.searched.parts().iter().enumerate().map(effect));
         parts.push(PartNote { parameters: course, ..plain(name, split.disturbance) });
         parts.extend([plain(NOISE, split.noise), plain(UNEXPLAINED, split.unexplained)]);
@@ -217,6 +220,7 @@ impl EventNote {
         Self {
             at_s: value("at").unwrap_or_default(),
             size: value("size").unwrap_or_default(),
+            straight: value("straight").is_some_and(|is| is > 0.5),
             length_s: value("length"),
             confirmed,
         }

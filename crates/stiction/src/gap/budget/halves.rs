@@ -1,7 +1,8 @@
 //! What the halves of a record say of an effect that was found in the whole.
 //!
 //! A drift, a bend, a sinusoid or another loop's load must be in both. A step, a ramp or wild values are local: the half around
-//! them must show them by itself, and a noise model fitted to the rest of the record must predict the half better with them than without.
+//! them must show them by itself, and a noise model fitted to the rest of the record must predict the half better with them than without;
+//! a free run that drives it was fitted to all of the record.
 
 use super::arx::{Design, Fit};
 use super::search::{Model, Searched};

@@ -96,12 +96,12 @@ pub(crate) fn split(series: &Series, model: &Model, searched: &Searched, noise: 
         let added = run.pv.iter().zip(&base.pv).map(|(with, without)| with - without).collect();
         late(added)
     });
-    let less_cause = |mut x: Vec<f64>| {
+    let without_cause = |mut x: Vec<f64>| {
         x.iter_mut().zip(cause.iter().flatten()).for_each(|(x, added)| *x -= added);
         x
     };
-    let process = model.design.simulated(fit).map(|x| less_cause(late(x)));
-    rest = less_cause(rest);
+    let process = model.design.simulated(fit).map(|x| without_cause(late(x)));
+    rest = without_cause(rest);
     let mut no_split = process.is_none().then_some(NoSplit::Unstable);
     let mut valve_and_process = None;
     if let Some(x) = &process {

@@ -37,7 +37,7 @@ const LAGS: [f64; 5] = [0.01, 0.05, 0.1, 0.2, 0.35];
 const DEAD_TIMES: usize = 13;
 const LAST_DEAD_TIME: f64 = 0.5;
 /// Part of a whitened step's largest value within which it is flat.
-const LEVEL: f64 = 1e-6;
+const LEVEL: f64 = 1e-5;
 /// Part of a column's power that must be new.
 const NEW: f64 = 1e-7;
 
@@ -149,8 +149,8 @@ impl<'f> Scan<'f> {
         let sums: Vec<Vec<f64>> = self.fit.columns.iter().chain([&self.score]).map(|c| tail_sums(c)).collect();
         let length = self.n - START;
         let product = |x: &[f64], sums: &[f64], at: usize| {
-            let first: f64 = start.iter().zip(&x[at..]).map(|(w, x)| w * x).sum();
-            first + level * sums[(at + start.len()).min(length)]
+            let end = (at + start.len()).min(length);
+            stats::dot(&start[..end - at], &x[at..end]) + level * sums[end]
         };
         let seen = |onset: usize| {
             let at = onset - START;

@@ -4,6 +4,7 @@ use super::arx::{Design, Fit};
 use super::scan::Scan;
 use super::series::{Run, Series};
 use super::shapes::{APART, Entry, Process, Shape};
+use crate::gap::effects;
 use crate::gap::structure::BASE;
 use crate::signal::stats;
 use crate::sim::noise::{Noise, stream_of};
@@ -18,6 +19,8 @@ const MOST_LOADS: usize = 8;
 /// come to which part of all that it comes to: a load that comes through a lag is not several.
 const LOADS_APART: f64 = 1.0 / 60.0;
 const ARRIVED: f64 = 0.9;
+/// Largest such distance, part of the record.
+const MOST_APART: f64 = 0.1;
 /// Shapes of a kind that are refitted: alone, beside those of a low order, and of a low order.
 const REFITTED: [usize; 3] = [3, 2, 2];
 /// Order of A that cannot swallow a sinusoid.
@@ -33,7 +36,7 @@ const BANDS: usize = 2;
 /// Variance of it beyond which OP itself takes its place.
 const FAR: f64 = 100.0;
 
-/// What the noise model takes PV's process from.
+/// What drives the process in the noise model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Driver {
     /// OP, through B/A.
@@ -89,9 +92,11 @@ impl Model {
         }
         let most = |choices: &[Choice]| choices.iter().max_by(|x, y| x.bic.total_cmp(&y.bic)).cloned();
         let by_u = most(&choices)?;
-        for (place, run) in series.runs.iter().enumerate() {
-            choices.extend(Choice::of(Driver::Run(place), Design::of_left(series, &run.pv), run.parameters));
-        }
+        // What a model runs away with is no part of PV.
+        let usable = series.runs.iter().enumerate().filter(|(_, run)| stats::variance(&run.pv) < FAR);
+        choices.extend(usable.filter_map(|(place, run)| {
+            Choice::of(Driver::Run(place), Design::of_residual(series, &run.pv), run.parameters)
+        }));
         let best = most(&choices)?;
         choices.retain(|choice| choice.driver != best.driver);
         let u = match best.driver {
@@ -103,7 +108,7 @@ impl Model {
             Driver::Op | Driver::Stem(_) => best.design.after_load(&best.fit),
             Driver::Run(place) => series.runs[place].load.clone(),
         });
-        let load = load.and_then(largest_one);
+        let load = load.and_then(scaled_to_peak);
         let driven = simulated.or_else(|| u.cloned())?;
         Some(Self {
             gain_by_op: by_u.fit.log_likelihood() - alone.log_likelihood(),
@@ -152,7 +157,7 @@ impl Model {
 }
 
 /// A signal over its largest value; `None` where that is not a finite number, or 0.
-fn largest_one(mut x: Vec<f64>) -> Option<Vec<f64>> {
+fn scaled_to_peak(mut x: Vec<f64>) -> Option<Vec<f64>> {
     let largest = x.iter().copied().max_by(|x, y| x.abs().total_cmp(&y.abs())).filter(|x| x.is_normal())?;
     x.iter_mut().for_each(|x| *x /= largest);
     Some(x)
@@ -264,7 +269,13 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
         low.as_ref().and_then(|fit| Scan::new(fit, n)).as_ref(),
         &frequencies,
     );
-    let there = |shape: &Shape| so_far.added.iter().any(|a| is_same(shape, &a.shape, &model.process, n));
+    let in_run = |shape: &Shape| {
+        let run = model.cause(series).map(|(run, _)| run.id.as_str());
+        matches!(shape, Shape::Drift | Shape::Bend | Shape::Neighbour(..))
+            && effects::parts(run.unwrap_or_default()).any(|id| id == shape.full_id())
+    };
+    let there =
+        |shape: &Shape| in_run(shape) || so_far.added.iter().any(|a| is_same(shape, &a.shape, &model.process, n));
     let try_one = |shape: Shape| {
         let mut columns = so_far.columns.clone();
         columns.extend(model.columns(&shape));
@@ -294,11 +305,12 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
 /// Whether a shape is one that is there already.
 pub(super) fn is_same(shape: &Shape, there: &Shape, process: &Process, n: usize) -> bool {
     if let (Some(own), Some(other)) = (shape.edges(), there.edges()) {
-        let is_behind =
+        let enters_before_process =
             |shape: &Shape| matches!(shape, Shape::Step(Entry::Process, _) | Shape::Pulse(Entry::Process, ..));
-        let load = process.load.as_ref().filter(|_| is_behind(shape) || is_behind(there));
+        let load = process.load.as_ref().filter(|_| enters_before_process(shape) || enters_before_process(there));
         let arrived = load.and_then(|load| load.iter().position(|x| *x >= ARRIVED)).unwrap_or(0);
-        let least = arrived.max((LOADS_APART * n as f64) as usize);
+        let of_record = |part: f64| (part * n as f64) as usize;
+        let least = arrived.clamp(of_record(LOADS_APART), of_record(MOST_APART));
         return own.iter().any(|x| *x != usize::MAX && other.iter().any(|y| x.abs_diff(*y) < least));
     }
     match (shape, there) {

@@ -74,9 +74,7 @@ impl Series {
         let period = known.period.filter(|p| p.is_finite() && *p > 0.0).unwrap_or_else(|| period_of(record).0);
         let fine = ((period / IN_PERIOD) as usize).max(1);
         let box_points = n.div_ceil(MOST).min(fine);
-        // The first innovation that counts is one of valid predictions.
-        let before = known.from.saturating_sub(START * box_points).min(n);
-        let count = ((n - before) / box_points).min(MOST);
+        let count = (n.saturating_sub(known.from) / box_points).min(MOST);
         let from = n - count * box_points;
         let boxed = |x: &[f64]| detrend::box_means(&x[from..], box_points);
         let (pv, op) = (boxed(&record.pv), boxed(&record.op()));

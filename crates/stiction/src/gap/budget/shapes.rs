@@ -17,7 +17,7 @@ pub(super) const APART: f64 = 1.2;
 pub enum Entry {
     /// Straight into PV.
     Pv,
-    /// Before the process.
+    /// Before the process: at the point from which PV moves where a model's process is taken, a dead time sooner with B/A.
     Process,
 }
 
@@ -26,8 +26,8 @@ pub enum Entry {
 pub struct Process {
     /// What they make of OP, standard deviations of PV.
     pub driven: Vec<f64>,
-    /// PV at each point after a load steps before the process, over the largest that it comes to; `None` where that grows
-    /// beyond what any record shows.
+    /// PV at each point after a load steps before the process, over the largest that it comes to in the record; `None` where
+    /// that grows beyond what any record shows.
     pub load: Option<Vec<f64>>,
 }
 
@@ -138,18 +138,26 @@ impl Shape {
     /// Its sizes in recorded units; `gain` is what PV gains with OP at rest, standard deviations of one over those of the
     /// other, `None` where that is not known.
     #[must_use]
-    pub fn sizes(&self, beta: &[f64], series: &Series, gain: Option<f64>) -> BTreeMap<String, Quantity> {
+    pub(crate) fn sizes(
+        &self,
+        beta: &[f64],
+        process: &Process,
+        series: &Series,
+        gain: Option<f64>,
+    ) -> BTreeMap<String, Quantity> {
         let first = beta.first().copied().unwrap_or(0.0);
         let deviation = series.of_pv[1];
+        // What enters before the process is as large as PV would come to if OP rested.
+        let height = || self.columns(series.n(), process).iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
         let straight = |entry: Entry| ("straight", f64::from(u8::from(entry == Entry::Pv)), "1");
         let whole_s = series.n() as f64 * series.point_s;
         let sizes: Vec<(&str, f64, &str)> = match self {
             Self::Step(entry, at) => {
-                vec![("at", series.time_s(*at), "s"), ("size", first * deviation, "PV"), straight(*entry)]
+                vec![("at", series.time_s(*at), "s"), ("size", first * deviation * height(), "PV"), straight(*entry)]
             }
             Self::Pulse(entry, at, length) => vec![
                 ("at", series.time_s(*at), "s"),
-                ("size", first * deviation, "PV"),
+                ("size", first * deviation * height(), "PV"),
                 straight(*entry),
                 ("length", *length as f64 * series.point_s, "s"),
             ],

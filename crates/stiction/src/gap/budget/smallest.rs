@@ -101,7 +101,8 @@ pub(crate) fn step(series: &Series, model: &Model, searched: &Searched) -> Optio
     let trial = Trial::new(series, model, searched)?;
     let n = series.n();
     let onsets = trial.scan.onsets();
-    let cost = Shape::Step(Entry::Pv, 0).cost(n, onsets.len()) + LEAST_GAIN;
+    let some = Shape::Step(Entry::Pv, 0);
+    let cost = some.cost(n, trial.scan.tried(&some, &model.process, 0)) + LEAST_GAIN;
     let column = |at: usize| model.columns(&Shape::Step(Entry::Pv, at)).remove(0);
     let shown = |i: usize| {
         let at = onsets.start + (onsets.len() - 1) * (2 * i + 1) / (2 * ONSETS);

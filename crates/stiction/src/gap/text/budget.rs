@@ -16,7 +16,7 @@ fn too_little(d: &GapDocument) -> Option<&TellableNote> {
 }
 
 /// The clause that says why the cause is unknown or only suspected.
-pub(super) fn why_unknown(d: &GapDocument) -> Option<String> {
+pub(super) fn why_unsure(d: &GapDocument) -> Option<String> {
     let nats = number(too_little(d)?.gain_nats);
     Some(format!("this record cannot tell: beyond PV's own past, OP predicts only {nats} nats of PV"))
 }
@@ -151,7 +151,7 @@ fn smallest(budget: &BudgetNote) -> Option<String> {
         }
     };
     let all: Vec<String> = budget.smallest.iter().map(one).collect();
-    (!all.is_empty()).then(|| format!("optimistic estimate: {} or more would have been named", all.join(", and ")))
+    (!all.is_empty()).then(|| format!("{} or more would have been named", all.join(", and ")))
 }
 
 fn predicted(told: &TellableNote) -> String {
@@ -218,7 +218,13 @@ mod tests {
     #[test]
     fn upsets_are_said_with_times_sizes_and_lengths() {
         let mut part = document().budget.unwrap().parts.remove(0);
-        let event = |at_s: f64, length_s: Option<f64>| EventNote { at_s, size: -1.5, length_s, confirmed: true };
+        let event = |at_s: f64, length_s: Option<f64>| EventNote {
+            at_s,
+            size: -1.5,
+            straight: true,
+            length_s,
+            confirmed: true,
+        };
         (part.id, part.confirmed, part.gain_nats) = (UPSETS.to_owned(), Some(true), Some(40.0));
         part.events = vec![event(300.0, None), event(900.0, Some(60.0))];
         assert_eq!(
