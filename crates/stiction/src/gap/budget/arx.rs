@@ -7,12 +7,12 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::series::{START, Series};
+use super::series::{LONGEST_LAG, START, Series};
 use super::student::Student;
 use crate::signal::stats;
 
 /// Orders of A that are tried.
-pub(crate) const ORDERS: [usize; 5] = [1, 2, 4, 8, 12];
+pub(crate) const ORDERS: [usize; 5] = [1, 2, 4, 8, LONGEST_LAG];
 /// Bins of u, and how many of them reach over a period.
 const BINS: usize = 8;
 const BINS_IN_PERIOD: f64 = 24.0;

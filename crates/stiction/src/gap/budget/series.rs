@@ -10,8 +10,9 @@ use crate::record::Record;
 use crate::signal::{detrend, stats};
 use crate::sim::process::{ProcessModel, ProcessState};
 
-/// First point whose innovation counts: the lags of the ones before reach beyond the record.
+/// First point whose innovation counts, and how far its prediction looks back in PV and in free runs.
 pub(crate) const START: usize = 24;
+pub(crate) const LONGEST_LAG: usize = 12;
 /// Most points.
 pub(crate) const MOST: usize = 900;
 /// Fewest points that are split.
@@ -74,7 +75,8 @@ impl Series {
         let period = known.period.filter(|p| p.is_finite() && *p > 0.0).unwrap_or_else(|| period_of(record).0);
         let fine = ((period / IN_PERIOD) as usize).max(1);
         let box_points = n.div_ceil(MOST).min(fine);
-        let count = (n.saturating_sub(known.from) / box_points).min(MOST);
+        let before = known.from.saturating_sub((START - LONGEST_LAG) * box_points).min(n);
+        let count = ((n - before) / box_points).min(MOST);
         let from = n - count * box_points;
         let boxed = |x: &[f64]| detrend::box_means(&x[from..], box_points);
         let (pv, op) = (boxed(&record.pv), boxed(&record.op()));
