@@ -216,8 +216,12 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     Ok(made)
 }
 
-/// The best of a search, fitted to all of the record; `None` where there is no time for it, or no place is found.
+/// The best of a search, fitted to all of the record; `None` where that was stopped, or no place is found.
 fn fit_to_all(problem: &Problem, search: &Search, floor: Option<f64>, work: &mut Work<'_>) -> Option<Fit> {
+    // What is done after the stop would not be done again by one who stops at the same count.
+    if work.stopped {
+        return None;
+    }
     let nothing = vec![false; problem.n()];
     refitted(problem, &nothing, &[search], floor, work)?.pop()
 }
