@@ -80,7 +80,7 @@ impl Loop<'_> {
     pub fn in_pv(&self, effect: &str, size: f64, seed: u64) -> Record {
         let series = self.series();
         let entry = Entry::draw(effect, size, series.n(), &mut draw_of(effect, seed));
-        let x = &self.model().process.driven;
+        let x = &self.model().driven;
         let change = |k: usize| entry.added[k] + (entry.gain[k] - 1.0) * x[k];
         let pv: Vec<f64> = (0..series.n()).map(|k| series.pv[k] + change(k)).collect();
         self.recorded(&series.op.clone(), &pv)

@@ -2,10 +2,9 @@
 //!
 //! `SEED=60 CASES=20 cargo test -p stiction-lab --test proof val_effects -- --ignored --nocapture`
 //!
-//! Odd seeds are the development set. `MODELS` are tried in a diagnosis, 20,000 unless it says so.
+//! Odd seeds are the development set. Seed 66 served for development, too.
 
 use std::collections::BTreeMap;
-use std::str::FromStr;
 
 use stiction::detect::oscillation;
 use stiction::gap::budget::{Budget, Known};
@@ -13,16 +12,18 @@ use stiction::gap::{GapOptions, Serial, diagnose};
 use stiction::record::Record;
 use stiction_lab::challenge::{Deck, Kind, Split, TruthCase};
 
+/// Models tried in a diagnosis.
+const FEW: u64 = 20_000;
+
 /// An environment variable as a number.
-pub(crate) fn from_env<T: FromStr>(name: &str, usual: T) -> T {
+fn asked(name: &str, usual: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
 }
 
 /// The budget of a record after a short diagnosis; and the cause that has a row in it, and whether that is confirmed.
 pub(crate) fn budget(record: &Record) -> Option<(Budget, Option<(String, bool)>)> {
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
-    let options =
-        GapOptions { period_points: period, budget_evaluations: from_env("MODELS", 20_000), ..GapOptions::default() };
+    let options = GapOptions { period_points: period, budget_evaluations: FEW, ..GapOptions::default() };
     let made = diagnose(record, &options, &Serial).ok()?;
     let known =
         Known { models: &made.fits_to_all, from: made.blocks.from, noise_sd: made.floor.noise_sd, ..Known::default() };
@@ -47,7 +48,7 @@ struct Row {
 #[test]
 #[ignore = "a benchmark of minutes"]
 fn steps_and_pulses_are_named_as_one_effect() {
-    let (seed, cases) = (from_env("SEED", 60), from_env("CASES", 20));
+    let (seed, cases) = (asked("SEED", 60), asked("CASES", 20) as usize);
     let beside = [Kind::StepLoad, Kind::Sinusoid, Kind::Ramp, Kind::ColouredNoise, Kind::UpstreamCycle];
     let kinds: Vec<Option<Kind>> = Kind::OF_BUDGET.into_iter().chain(beside).map(Some).chain([None]).collect();
     let deck = Deck::of(seed, Split::of_seed(seed), &kinds, cases);

@@ -119,7 +119,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
     let Some(Searched { traces, problem, mut floor, mut found }) = searched else { return Err(no_base) };
     let mut problem = problem;
-    let base_fit = fit_to_all(&problem, &found.base, floor.noise_floor, &mut work);
+    let base_fit = fit_to_all(&problem, &found.base, &mut work);
     work.begin(budget);
     let is_asked = !options.without.iter().any(|w| w == effects::neighbour::EFFECT.id);
     let others = if is_asked { &options.neighbours[..] } else { &[] };
@@ -205,7 +205,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     run_forward(record, &problem, &found, &mut made, &mut work);
     let is_cause = |search: &&Search| !made.fits_to_all.is_empty() && search.structure.id_in(&problem) == made.cause.id;
     let cause = found.searches.iter().find(is_cause);
-    made.fits_to_all.extend(cause.and_then(|search| fit_to_all(&problem, search, made.floor.noise_floor, &mut work)));
+    made.fits_to_all.extend(cause.and_then(|search| fit_to_all(&problem, search, &mut work)));
     made.confirm();
     made.next_test = next_test(&problem, &found, &made);
     made.evaluations = work.done;
@@ -217,13 +217,13 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
 }
 
 /// The best of a search, fitted to all of the record; `None` where that was stopped, or no place is found.
-fn fit_to_all(problem: &Problem, search: &Search, floor: Option<f64>, work: &mut Work<'_>) -> Option<Fit> {
+fn fit_to_all(problem: &Problem, search: &Search, work: &mut Work<'_>) -> Option<Fit> {
     // What is done after the stop would not be done again by one who stops at the same count.
     if work.stopped {
         return None;
     }
     let nothing = vec![false; problem.n()];
-    refitted(problem, &nothing, &[search], floor, work)?.pop()
+    refitted(problem, &nothing, &[search], None, work)?.pop()
 }
 
 fn scales<'a>(

@@ -139,7 +139,8 @@ pub struct CauseNote {
 }
 
 impl CauseNote {
-    fn why_by(&self, told: &TellableNote) -> Option<&'static str> {
+    /// What keeps the answer from being sure, where the record tells it.
+    pub(super) fn why_by(&self, told: &TellableNote) -> Option<&'static str> {
         let hardly = told.gain_nats < TOLD[0];
         // PV alone shows what a sensor or a recorder did to it.
         let acts_in_plant =

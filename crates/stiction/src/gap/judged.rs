@@ -17,6 +17,7 @@ pub struct Diagnosis {
     /// The base, refitted.
     pub base: Fit,
     /// The base, and the base with the cause where the search fitted that, on all of the record: what the budget begins from.
+    /// Nothing was held out, so that their errors and gaps say nothing.
     pub fits_to_all: Vec<Fit>,
     /// The given model as it was given.
     pub given: Option<Fit>,

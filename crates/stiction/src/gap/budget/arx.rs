@@ -234,16 +234,6 @@ impl Design {
         x
     }
 
-    /// PV at each point after a u that steps by 1 at the first, as A and B make it.
-    #[must_use]
-    pub(crate) fn after_load(&self, fit: &Fit) -> Vec<f64> {
-        let n = self.y.len();
-        let mut u = vec![1.0; n + 1];
-        u[0] = 0.0;
-        let stepped = Self { bins: bins(&u, self.width), ..self.clone() };
-        stepped.driven(fit, &vec![0.0; n + 1]).split_off(1)
-    }
-
     /// What valve and process make of u by themselves, a model's free run or `B/A u`, standard deviations of PV; `None` where
     /// that grows beyond what any record shows.
     #[must_use]

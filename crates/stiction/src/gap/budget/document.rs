@@ -38,7 +38,8 @@ type Sizes = BTreeMap<String, Quantity>;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PartNote {
-    /// `valve_and_process`, the id of an effect or of the cause, `upsets`, `disturbance`, `valve_process_and_disturbance`, `noise` or `unexplained`.
+    /// `valve_and_process`, the id of an effect or of the cause, `upsets`, `disturbance`, `valve_process_and_disturbance`,
+    /// `noise` or `unexplained`.
     pub id: String,
     /// Share of PV's variance, %; all parts sum to 100. Negative for a part that works against the others.
     pub share_pct: f64,
@@ -63,11 +64,8 @@ pub struct PartNote {
 pub struct EventNote {
     /// Time after the record's start, s.
     pub at_s: f64,
-    /// Its height, PV units; of one that enters before the process the largest that PV would come to if OP rested.
+    /// Its height, PV units.
     pub size: f64,
-    /// Whether it enters straight into PV, and not before the process.
-    #[serde(default)]
-    pub straight: bool,
     /// How long it lasts, s; `None` for a step, which stays.
     pub length_s: Option<f64>,
     /// Whether the record's halves confirm it.
@@ -158,7 +156,7 @@ impl BudgetNote {
             let gain = effects.iter().map(|k| budget.searched.added[*k].gain).sum();
             let sizes = |k: usize| {
                 let beta = &budget.searched.fit.beta[budget.searched.places(k)];
-                budget.searched.added[k].shape.sizes(beta, &budget.model.process, series, split.gain)
+                budget.searched.added[k].shape.sizes(beta, series, split.gain)
             };
             let (parameters, events) = match effects.as_slice() {
                 [one] => (sizes(*one), Vec::new()),
@@ -220,7 +218,6 @@ impl EventNote {
         Self {
             at_s: value("at").unwrap_or_default(),
             size: value("size").unwrap_or_default(),
-            straight: value("straight").is_some_and(|is| is > 0.5),
             length_s: value("length"),
             confirmed,
         }

@@ -1,8 +1,8 @@
 //! What the halves of a record say of an effect that was found in the whole.
 //!
 //! A drift, a bend, a sinusoid or another loop's load must be in both. A step, a ramp or wild values are local: the half around
-//! them must show them by itself, and a noise model fitted to the rest of the record must predict the half better with them than without;
-//! a free run that drives it was fitted to all of the record.
+//! them must show them by itself, and a noise model fitted to the rest of the record must predict the half better with them
+//! than without. A free run that drives the noise model was fitted to all of the record.
 
 use super::arx::{Design, Fit};
 use super::search::{Model, Searched};
@@ -39,8 +39,8 @@ pub(crate) fn confirm(model: &Model, searched: &Searched, effect: usize) -> bool
             let found = halves.map(|half| one.found(half));
             matches!(found, [Some(first), Some(second)] if agree(&first, &second))
         }
-        Shape::Step(_, at) => one.local(around(*at, n)),
-        Shape::Pulse(_, at, length) => one.local(around(at + length / 2, n)),
+        Shape::Step(at) => one.local(around(*at, n)),
+        Shape::Pulse(at, length) => one.local(around(at + length / 2, n)),
         Shape::Ramp(from) => one.local(around((from + n) / 2, n)),
         Shape::Outliers(at) => {
             let most = halves.into_iter().max_by_key(|half| at.iter().filter(|k| half.holds(**k)).count());
@@ -119,7 +119,7 @@ impl Judged<'_> {
         let whole = self.searched.fit.beta[places.start];
         let Some(own) = self.found(stretch) else { return false };
         let same =
-            !matches!(self.searched.added[self.effect].shape, Shape::Step(..) | Shape::Pulse(..) | Shape::Ramp(_))
+            !matches!(self.searched.added[self.effect].shape, Shape::Step(_) | Shape::Pulse(..) | Shape::Ramp(_))
                 || own.first().is_some_and(|own| own * whole > 0.0);
         same && self.held_out(stretch) > LEAST_HELD_OUT
     }

@@ -109,8 +109,6 @@ mod tests {
     #[derive(Debug, Clone, Copy, Default)]
     pub(super) struct Loop {
         pub step: f64,
-        /// A step before the process, OP units.
-        pub load: f64,
         pub pulse: f64,
         pub wave: f64,
         pub burst: bool,
@@ -159,8 +157,7 @@ mod tests {
                     series.push(value);
                 }
                 let gain = 1.0 + self.drift * (2.0 * k as f64 / N as f64 - 1.0);
-                let load = if k >= 500 { self.load } else { 0.0 };
-                x = 0.9 * x + 0.1 * gain * (u + load);
+                x = 0.9 * x + 0.1 * gain * u;
             }
             (Record { sp: Some(set), ..Record::uniform(1.0, op, truth.pv.clone()) }, truth)
         }

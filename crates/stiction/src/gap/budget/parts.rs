@@ -86,26 +86,18 @@ pub(crate) fn split(series: &Series, model: &Model, searched: &Searched, noise: 
     let part =
         |x: &[f64]| Part { share: covariance(x, y) / stats::variance(y), size: stats::std_dev(x) / stats::std_dev(y) };
     // Free runs may be wrong before the first innovation.
-    let late = |x: Vec<f64>| x[START.min(x.len())..].to_vec();
+    let late = |x: Vec<f64>| x[START..].to_vec();
     let effects: Vec<Vec<f64>> = searched.parts().iter().map(|effects| late(searched.sum(effects))).collect();
-    let mut rest = y.to_vec();
-    for effect in &effects {
-        rest.iter_mut().zip(effect).for_each(|(rest, x)| *rest -= x);
-    }
-    let cause = model.cause(series).map(|(run, base)| {
-        let added = run.pv.iter().zip(&base.pv).map(|(with, without)| with - without).collect();
-        late(added)
-    });
-    let without_cause = |mut x: Vec<f64>| {
-        x.iter_mut().zip(cause.iter().flatten()).for_each(|(x, added)| *x -= added);
-        x
+    let (process, cause) = match model.cause(series) {
+        Some((run, base)) => (Some(base.pv.clone()), Some(late(difference(&run.pv, &base.pv)))),
+        None => (model.design.simulated(fit), None),
     };
-    let process = model.design.simulated(fit).map(|x| without_cause(late(x)));
-    rest = without_cause(rest);
+    let process = process.map(late);
+    let mut rest = effects.iter().chain(&cause).fold(y.to_vec(), |rest, x| difference(&rest, x));
     let mut no_split = process.is_none().then_some(NoSplit::Unstable);
     let mut valve_and_process = None;
     if let Some(x) = &process {
-        let left: Vec<f64> = rest.iter().zip(x).map(|(rest, x)| rest - x).collect();
+        let left = difference(&rest, x);
         let norm = stats::std_dev(x) * stats::std_dev(&left);
         if covariance(x, &left).abs() > TOGETHER * norm {
             no_split = Some(NoSplit::Together);
@@ -116,8 +108,7 @@ pub(crate) fn split(series: &Series, model: &Model, searched: &Searched, noise: 
     }
     let e = &fit.e;
     let [all, new] = [part(&rest), part(e)];
-    rest.iter_mut().zip(e).for_each(|(rest, e)| *rest -= e);
-    let disturbance = Part { share: all.share - new.share, size: part(&rest).size };
+    let disturbance = Part { share: all.share - new.share, size: part(&difference(&rest, e)).size };
     let (least, course) = spectrum(fit, y.len());
     let power = (stats::variance(&fit.e) / stats::variance(y)).max(f64::MIN_POSITIVE);
     let white = noise.map_or(1.0, |noise| noise * noise / power).min(least).min(1.0);
@@ -137,6 +128,10 @@ pub(crate) fn split(series: &Series, model: &Model, searched: &Searched, noise: 
         noise: of(white),
         unexplained: of(1.0 - white),
     }
+}
+
+fn difference(x: &[f64], y: &[f64]) -> Vec<f64> {
+    x.iter().zip(y).map(|(x, y)| x - y).collect()
 }
 
 fn covariance(x: &[f64], y: &[f64]) -> f64 {

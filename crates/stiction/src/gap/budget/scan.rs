@@ -7,7 +7,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::arx::{Fit, whitened};
 use super::series::{START, Series};
-use super::shapes::{APART, Entry, Process, Shape, wave};
+use super::shapes::{APART, Shape, wave};
 use crate::gap::neighbour::Load;
 use crate::signal::stats;
 
@@ -36,8 +36,6 @@ const MOST_WILD: f64 = 0.04;
 const LAGS: [f64; 5] = [0.01, 0.05, 0.1, 0.2, 0.35];
 const DEAD_TIMES: usize = 13;
 const LAST_DEAD_TIME: f64 = 0.5;
-/// Part of a whitened step's largest value within which it is flat.
-const LEVEL: f64 = 1e-5;
 /// Part of a column's power that must be new.
 const NEW: f64 = 1e-7;
 
@@ -132,25 +130,24 @@ impl<'f> Scan<'f> {
         START.max((ENDS * self.n as f64) as usize)..end
     }
 
-    /// What A makes of PV after a load steps: a start, then a constant.
-    fn whitened_step(&self, process: &Process, entry: Entry) -> Vec<f64> {
-        let step: Vec<f64> = (0..self.n).map(|k| process.after_load(entry, k)).collect();
-        let mut step = whitened(&self.fit.a, &step);
-        let level = step.last().copied().unwrap_or(0.0);
-        let flat = LEVEL * step.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-        let start = step.iter().rposition(|x| (x - level).abs() > flat).map_or(0, |last| last + 1);
-        step.truncate(start + 1);
-        step
+    /// What A makes of a step: a start of its order, then a constant.
+    fn whitened_step(&self) -> Vec<f64> {
+        let sum = |sum: &mut f64, a: &f64| {
+            *sum += a;
+            Some(*sum)
+        };
+        self.fit.a.iter().scan(0.0, sum).collect()
     }
 
-    /// Steps, as whitened, at each of these onsets.
-    fn seen_steps(&self, step: &[f64], onsets: core::ops::Range<usize>) -> Option<Vec<SeenStep>> {
-        let (level, start) = step.split_last().map_or((0.0, &[][..]), |(level, start)| (*level, start));
+    /// Steps at each of these onsets.
+    fn seen_steps(&self, onsets: core::ops::Range<usize>) -> Option<Vec<SeenStep>> {
+        let start = self.whitened_step();
+        let (level, start) = start.split_last().map_or((0.0, &[][..]), |(level, start)| (*level, start));
         let sums: Vec<Vec<f64>> = self.fit.columns.iter().chain([&self.score]).map(|c| tail_sums(c)).collect();
         let length = self.n - START;
         let product = |x: &[f64], sums: &[f64], at: usize| {
-            let end = (at + start.len()).min(length);
-            stats::dot(&start[..end - at], &x[at..end]) + level * sums[end]
+            let first: f64 = start.iter().zip(&x[at..]).map(|(w, x)| w * x).sum();
+            first + level * sums[(at + start.len()).min(length)]
         };
         let seen = |onset: usize| {
             let at = onset - START;
@@ -165,16 +162,13 @@ impl<'f> Scan<'f> {
         onsets.map(seen).collect()
     }
 
-    /// The most promising `most` steps of each entry.
+    /// The most promising `most` steps.
     #[must_use]
-    pub(crate) fn steps(&self, process: &Process, most: usize) -> Vec<Shape> {
+    pub(crate) fn steps(&self, most: usize) -> Vec<Shape> {
         let gain = |step: &SeenStep| gain(step.power, step.along, step.known.norm_squared());
-        let of = |entry: Entry| {
-            let found = self.seen_steps(&self.whitened_step(process, entry), self.onsets()).unwrap_or_default();
-            let found = found.iter().map(|step| (gain(step), step.onset)).collect();
-            best(found, most, |_, _| true).into_iter().map(move |at| Shape::Step(entry, at))
-        };
-        process.entries().flat_map(of).collect()
+        let found = self.seen_steps(self.onsets()).unwrap_or_default();
+        let found = found.iter().map(|step| (gain(step), step.onset)).collect();
+        best(found, most, |_, _| true).into_iter().map(Shape::Step).collect()
     }
 
     /// Lengths of pulses, points.
@@ -182,18 +176,10 @@ impl<'f> Scan<'f> {
         SHORTEST_PULSE..=(LONGEST_PULSE * self.n as f64) as usize
     }
 
-    /// The most promising `most` pulses of each entry.
+    /// The most promising `most` pulses: each is a step less a later one.
     #[must_use]
-    pub(crate) fn pulses(&self, process: &Process, most: usize) -> Vec<Shape> {
-        let of = |entry: Entry| {
-            let found = self.pulses_of(&self.whitened_step(process, entry), most);
-            found.into_iter().map(move |(at, length)| Shape::Pulse(entry, at, length))
-        };
-        process.entries().flat_map(of).collect()
-    }
-
-    /// Onset and length of the most promising `most` pulses: each is a step less a later one.
-    fn pulses_of(&self, step: &[f64], most: usize) -> Vec<(usize, usize)> {
+    pub(crate) fn pulses(&self, most: usize) -> Vec<Shape> {
+        let step = self.whitened_step();
         let at = |i: usize| step[i.min(step.len() - 1)];
         // Power of a whitened pulse of each length by its first points.
         let powers: Vec<Vec<f64>> = self
@@ -207,7 +193,7 @@ impl<'f> Scan<'f> {
                 (0..length + step.len()).scan(0.0, sum).collect()
             })
             .collect();
-        let steps = self.seen_steps(step, self.onsets().start..self.n).unwrap_or_default();
+        let steps = self.seen_steps(self.onsets().start..self.n).unwrap_or_default();
         let mut found: Vec<(f64, (usize, usize))> = Vec::new();
         for (k, on) in steps.iter().enumerate() {
             for (length, powers) in self.lengths().zip(&powers) {
@@ -219,7 +205,7 @@ impl<'f> Scan<'f> {
         }
         let apart =
             |(at, length): (usize, usize), (other, long): (usize, usize)| at + length < other || other + long < at;
-        best(found, most, apart)
+        best(found, most, apart).into_iter().map(|(at, length)| Shape::Pulse(at, length)).collect()
     }
 
     /// Onsets of a ramp.
@@ -232,7 +218,7 @@ impl<'f> Scan<'f> {
     #[must_use]
     pub(crate) fn ramps(&self, most: usize) -> Vec<Shape> {
         let score = |from: usize| {
-            let column = Shape::Ramp(from).columns(self.n, &Process::default()).remove(0);
+            let column = Shape::Ramp(from).columns(self.n, &[]).remove(0);
             (self.gain_of(&whitened(&self.fit.a, &column)[START..]), from)
         };
         best(self.ramp_onsets().into_iter().map(score).collect(), most, |_, _| true)
@@ -322,11 +308,10 @@ impl<'f> Scan<'f> {
 
     /// How many shapes of a kind are looked through.
     #[must_use]
-    pub(crate) fn tried(&self, shape: &Shape, process: &Process, frequencies: usize) -> usize {
-        let loads = self.onsets().len() * process.entries().count();
+    pub(crate) fn tried(&self, shape: &Shape, frequencies: usize) -> usize {
         match shape {
-            Shape::Step(..) => loads,
-            Shape::Pulse(..) => loads * self.lengths().count(),
+            Shape::Step(_) => self.onsets().len(),
+            Shape::Pulse(..) => self.onsets().len() * self.lengths().count(),
             Shape::Ramp(_) => RAMPS,
             Shape::Sinusoid(_) => frequencies,
             Shape::Neighbour(..) => LAGS.len() * DEAD_TIMES,
@@ -379,24 +364,17 @@ mod tests {
         let series = Series::of(&Record::uniform(1.0, op, pv), &known).unwrap();
         let fit = Design::new(&series, Some(&series.op)).fit(4, &[], None).unwrap();
         let scan = Scan::new(&fit, 500).unwrap();
-        let load = (0..500).map(|k| 1.0 - libm::exp(-f64::from(k) / 20.0)).collect();
-        let process = Process { driven: Vec::new(), load: Some(load) };
-        let seen = |shape: &Shape| whitened(&fit.a, &shape.columns(500, &process)[0]).split_off(START);
-        let most = |all: Vec<Shape>| {
-            let gain = |shape: &Shape| scan.gain_of(&seen(shape));
-            all.into_iter().max_by(|x, y| gain(x).total_cmp(&gain(y))).unwrap()
+        let long = |onset: usize| scan.gain_of(&whitened(&fit.a, &Shape::Step(onset).columns(500, &[])[0])[START..]);
+        let best = scan.onsets().max_by(|x, y| long(*x).total_cmp(&long(*y))).unwrap();
+        assert_eq!(scan.steps(1), [Shape::Step(best)]);
+        assert!(best.abs_diff(300) <= 2, "{best}");
+        let long = |at: usize, length: usize| {
+            scan.gain_of(&whitened(&fit.a, &Shape::Pulse(at, length).columns(500, &[])[0])[START..])
         };
-        let both = [Entry::Pv, Entry::Process];
-        let steps = both.map(|entry| most(scan.onsets().map(|at| Shape::Step(entry, at)).collect()));
-        assert_eq!(scan.steps(&process, 1), steps);
-        assert!(matches!(steps[0], Shape::Step(Entry::Pv, at) if at.abs_diff(300) <= 2), "{steps:?}");
-        let pulses = both.map(|entry| {
-            let all = scan.onsets().flat_map(|at| (3..=50).map(move |length| (at, length)));
-            let within = all.filter(|(at, length)| at + length < 500);
-            most(within.map(|(at, length)| Shape::Pulse(entry, at, length)).collect())
-        });
-        assert_eq!(scan.pulses(&process, 1), pulses);
-        let new = scan.new_part(&seen(&Shape::Step(Entry::Pv, 300)));
+        let all = scan.onsets().flat_map(|at| (3..=50).map(move |length| (at, length))).filter(|(at, l)| at + l < 500);
+        let best = all.max_by(|x, y| long(x.0, x.1).total_cmp(&long(y.0, y.1))).unwrap();
+        assert_eq!(scan.pulses(1), [Shape::Pulse(best.0, best.1)]);
+        let new = scan.new_part(&whitened(&fit.a, &Shape::Step(300).columns(500, &[])[0])[START..]);
         assert!(fit.columns.iter().all(|c| stats::dot(c, &new).abs() < 1e-4 * stats::dot(c, c).sqrt()));
     }
 }

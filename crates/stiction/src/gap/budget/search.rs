@@ -3,7 +3,7 @@
 use super::arx::{Design, Fit};
 use super::scan::Scan;
 use super::series::{Run, Series};
-use super::shapes::{APART, Entry, Process, Shape};
+use super::shapes::{APART, Shape};
 use crate::gap::effects;
 use crate::gap::structure::BASE;
 use crate::signal::stats;
@@ -15,12 +15,8 @@ pub(crate) const LEAST_GAIN: f64 = 8.0;
 /// Most effects that are added, all loads that step or last a while being one, and most such loads.
 const MOST_ADDED: usize = 3;
 const MOST_LOADS: usize = 8;
-/// How far apart the edges of two loads are at least, part of the record, and where one enters before the process, until PV has
-/// come to which part of all that it comes to: a load that comes through a lag is not several.
+/// How far apart the edges of two loads are at least, part of the record: a load that comes through a lag is not several.
 const LOADS_APART: f64 = 1.0 / 60.0;
-const ARRIVED: f64 = 0.9;
-/// Largest such distance, part of the record.
-const MOST_APART: f64 = 0.1;
 /// Shapes of a kind that are refitted: alone, beside those of a low order, and of a low order.
 const REFITTED: [usize; 3] = [3, 2, 2];
 /// Order of A that cannot swallow a sinusoid.
@@ -54,8 +50,8 @@ pub struct Model {
     pub design: Design,
     /// The fit without effects.
     pub base: Fit,
-    /// Valve and process, for loads, drift and bend.
-    pub process: Process,
+    /// What valve and process make of OP, for drift and bend.
+    pub driven: Vec<f64>,
     /// What drives it.
     pub driver: Driver,
     /// Nats by which that beats the next best; `None` where nothing else drives it.
@@ -103,16 +99,10 @@ impl Model {
             Driver::Op => Some(&series.op),
             Driver::Stem(place) | Driver::Run(place) => series.runs[place].stem.as_ref(),
         };
-        let simulated = best.design.simulated(&best.fit).filter(|x| stats::variance(x) < FAR);
-        let load = simulated.is_some().then(|| match best.driver {
-            Driver::Op | Driver::Stem(_) => best.design.after_load(&best.fit),
-            Driver::Run(place) => series.runs[place].load.clone(),
-        });
-        let load = load.and_then(scaled_to_peak);
-        let driven = simulated.or_else(|| u.cloned())?;
+        let driven = best.design.simulated(&best.fit).filter(|x| stats::variance(x) < FAR).or_else(|| u.cloned())?;
         Some(Self {
             gain_by_op: by_u.fit.log_likelihood() - alone.log_likelihood(),
-            process: Process { driven: driven.iter().map(|d| d.clamp(-MOST_DRIVEN, MOST_DRIVEN)).collect(), load },
+            driven: driven.iter().map(|d| d.clamp(-MOST_DRIVEN, MOST_DRIVEN)).collect(),
             lead: most(&choices).map(|next| best.bic - next.bic),
             design: best.design,
             base: best.fit,
@@ -152,15 +142,8 @@ impl Model {
     /// The columns of a shape.
     #[must_use]
     pub(crate) fn columns(&self, shape: &Shape) -> Vec<Vec<f64>> {
-        shape.columns(self.design.y.len(), &self.process)
+        shape.columns(self.design.y.len(), &self.driven)
     }
-}
-
-/// A signal over its largest value; `None` where that is not a finite number, or 0.
-fn scaled_to_peak(mut x: Vec<f64>) -> Option<Vec<f64>> {
-    let largest = x.iter().copied().max_by(|x, y| x.abs().total_cmp(&y.abs())).filter(|x| x.is_normal())?;
-    x.iter_mut().for_each(|x| *x /= largest);
-    Some(x)
 }
 
 /// An effect that was added.
@@ -262,20 +245,13 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
     });
     let low = low.flatten();
     let frequencies = scan.frequencies(series);
-    let shapes = candidates(
-        series,
-        &model.process,
-        &scan,
-        low.as_ref().and_then(|fit| Scan::new(fit, n)).as_ref(),
-        &frequencies,
-    );
+    let shapes = candidates(series, &scan, low.as_ref().and_then(|fit| Scan::new(fit, n)).as_ref(), &frequencies);
     let in_run = |shape: &Shape| {
         let run = model.cause(series).map(|(run, _)| run.id.as_str());
         matches!(shape, Shape::Drift | Shape::Bend | Shape::Neighbour(..))
             && effects::parts(run.unwrap_or_default()).any(|id| id == shape.full_id())
     };
-    let there =
-        |shape: &Shape| in_run(shape) || so_far.added.iter().any(|a| is_same(shape, &a.shape, &model.process, n));
+    let there = |shape: &Shape| in_run(shape) || so_far.added.iter().any(|a| is_same(shape, &a.shape, n));
     let try_one = |shape: Shape| {
         let mut columns = so_far.columns.clone();
         columns.extend(model.columns(&shape));
@@ -284,7 +260,7 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
             &columns,
             low.as_ref().filter(|_| matches!(shape, Shape::Sinusoid(_) | Shape::Neighbour(..))),
         )?;
-        let cost = shape.cost(n, scan.tried(&shape, &model.process, frequencies.len()));
+        let cost = shape.cost(n, scan.tried(&shape, frequencies.len()));
         let gain = fit.log_likelihood() - so_far.fit.log_likelihood() - cost;
         Some(Tried { shape, gain, columns, fit })
     };
@@ -303,14 +279,9 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
 }
 
 /// Whether a shape is one that is there already.
-pub(super) fn is_same(shape: &Shape, there: &Shape, process: &Process, n: usize) -> bool {
+pub(super) fn is_same(shape: &Shape, there: &Shape, n: usize) -> bool {
     if let (Some(own), Some(other)) = (shape.edges(), there.edges()) {
-        let enters_before_process =
-            |shape: &Shape| matches!(shape, Shape::Step(Entry::Process, _) | Shape::Pulse(Entry::Process, ..));
-        let load = process.load.as_ref().filter(|_| enters_before_process(shape) || enters_before_process(there));
-        let arrived = load.and_then(|load| load.iter().position(|x| *x >= ARRIVED)).unwrap_or(0);
-        let of_record = |part: f64| (part * n as f64) as usize;
-        let least = arrived.clamp(of_record(LOADS_APART), of_record(MOST_APART));
+        let least = (LOADS_APART * n as f64) as usize;
         return own.iter().any(|x| *x != usize::MAX && other.iter().any(|y| x.abs_diff(*y) < least));
     }
     match (shape, there) {
@@ -320,13 +291,7 @@ pub(super) fn is_same(shape: &Shape, there: &Shape, process: &Process, n: usize)
 }
 
 /// The shapes that are worth a fit.
-fn candidates(
-    series: &Series,
-    process: &Process,
-    scan: &Scan<'_>,
-    low: Option<&Scan<'_>>,
-    frequencies: &[f64],
-) -> Vec<Shape> {
+fn candidates(series: &Series, scan: &Scan<'_>, low: Option<&Scan<'_>>, frequencies: &[f64]) -> Vec<Shape> {
     let [alone, beside, of_low] = REFITTED;
     let most = if low.is_some() { beside } else { alone };
     let mut out = vec![Shape::Drift, Shape::Bend];
@@ -339,8 +304,8 @@ fn candidates(
     };
     for (scan, most) in [(Some(scan), most), (low, of_low)] {
         let Some(scan) = scan else { continue };
-        add(scan.steps(process, most));
-        add(scan.pulses(process, most));
+        add(scan.steps(most));
+        add(scan.pulses(most));
         add(scan.ramps(most));
         add(scan.sinusoids(frequencies, most));
         add(scan.neighbours(series, most));
@@ -367,9 +332,7 @@ mod tests {
         let plain = Loop::default();
         assert!(named(&plain.series(1)).is_empty(), "{:?}", named(&plain.series(1)));
         let step = named(&Loop { step: 1.5, ..plain }.series(1));
-        assert!(matches!(step[..], [Shape::Step(Entry::Pv, at)] if at.abs_diff(500) <= 2), "{step:?}");
-        let load = named(&Loop { load: 4.0, ..plain }.series(1));
-        assert!(matches!(load[..], [Shape::Step(Entry::Process, at)] if at.abs_diff(500) <= 4), "{load:?}");
+        assert!(matches!(step[..], [Shape::Step(at)] if at.abs_diff(500) <= 2), "{step:?}");
         let wave = named(&Loop { wave: 0.6, ..plain }.series(1));
         assert!(matches!(wave[..], [Shape::Sinusoid(f)] if (1.0 / f - 23.0).abs() < 0.5), "{wave:?}");
         let wild = named(&Loop { wild: 3.0, ..plain }.series(1));

@@ -8,7 +8,6 @@ use crate::gap::problem::period_of;
 use crate::gap::types::Fit;
 use crate::record::Record;
 use crate::signal::{detrend, stats};
-use crate::sim::process::{ProcessModel, ProcessState};
 
 /// First point whose innovation counts, and how far its prediction looks back in PV and in free runs.
 pub(crate) const START: usize = 24;
@@ -56,8 +55,6 @@ pub struct Run {
     pub pv: Vec<f64>,
     /// The stem, in the units of `op`; `None` without friction, or where the stem rests.
     pub stem: Option<Vec<f64>>,
-    /// PV at each point after a load steps before the process, whatever its unit.
-    pub load: Vec<f64>,
     /// What PV gains with OP at rest, standard deviations of one over those of the other; `None` for an integrator.
     pub gain: Option<f64>,
     /// Free parameters of its model.
@@ -98,7 +95,6 @@ impl Series {
             stem: (fit.model.valve.fs > 0.0)
                 .then(|| centred(&fit.valve, of_op[1]))
                 .filter(|s| stats::std_dev(s) > 1e-6),
-            load: after_load(fit.model.process.in_points(record.point_s() * box_points as f64), count),
             gain: (!fit.model.process.integrating).then_some(fit.model.process.gain * of_op[1] / of_pv[1]),
             parameters: fit.parameters,
         };
@@ -141,12 +137,6 @@ impl Series {
     pub fn time_s(&self, point: usize) -> f64 {
         self.from as f64 * self.point_s / self.box_points as f64 + point as f64 * self.point_s
     }
-}
-
-/// PV of a process at each of `n` points after a load of 1 that steps behind its dead time at the first.
-fn after_load(model: ProcessModel, n: usize) -> Vec<f64> {
-    let mut process = ProcessState::at_rest(ProcessModel { dead_time: 0.0, ..model }, 0.0);
-    core::iter::once(0.0).chain((1..n).map(|_| process.step(1.0, 0.0))).collect()
 }
 
 #[cfg(test)]

@@ -12,48 +12,13 @@ use crate::gap::sizes::Quantity;
 /// Frequencies closer than this count as one, cycles in the record.
 pub(super) const APART: f64 = 1.2;
 
-/// Where a load enters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Entry {
-    /// Straight into PV.
-    Pv,
-    /// Before the process: at the point from which PV moves where a model's process is taken, a dead time sooner with B/A.
-    Process,
-}
-
-/// Valve and process as the noise model has them.
-#[derive(Debug, Clone, Default)]
-pub struct Process {
-    /// What they make of OP, standard deviations of PV.
-    pub driven: Vec<f64>,
-    /// PV at each point after a load steps before the process, over the largest that it comes to in the record; `None` where
-    /// that grows beyond what any record shows.
-    pub load: Option<Vec<f64>>,
-}
-
-impl Process {
-    /// The ways in.
-    pub(crate) fn entries(&self) -> impl Iterator<Item = Entry> + use<> {
-        core::iter::once(Entry::Pv).chain(self.load.is_some().then_some(Entry::Process))
-    }
-
-    /// PV `k` points after a load of 1 enters.
-    #[must_use]
-    pub(crate) fn after_load(&self, entry: Entry, k: usize) -> f64 {
-        match (entry, &self.load) {
-            (Entry::Process, Some(load)) => load[k],
-            _ => 1.0,
-        }
-    }
-}
-
 /// An effect with what is not fitted linearly.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Shape {
-    /// A load from a point on.
-    Step(Entry, usize),
+    /// A step from a point on.
+    Step(usize),
     /// A load from a point on, over a number of points.
-    Pulse(Entry, usize, usize),
+    Pulse(usize, usize),
     /// A straight rise from a point on.
     Ramp(usize),
     /// A sinusoid of a frequency, cycles a point.
@@ -73,7 +38,7 @@ impl Shape {
     #[must_use]
     pub fn id(&self) -> &'static str {
         match self {
-            Self::Step(..) | Self::Pulse(..) => effects::step_load::EFFECT.id,
+            Self::Step(_) | Self::Pulse(..) => effects::step_load::EFFECT.id,
             Self::Ramp(_) => effects::ramp::EFFECT.id,
             Self::Sinusoid(_) => effects::sinusoid::EFFECT.id,
             Self::Drift => effects::gain_drift::EFFECT.id,
@@ -96,21 +61,19 @@ impl Shape {
     #[must_use]
     pub(crate) const fn edges(&self) -> Option<[usize; 2]> {
         match self {
-            Self::Step(_, at) => Some([*at, usize::MAX]),
-            Self::Pulse(_, at, length) => Some([*at, *at + *length]),
+            Self::Step(at) => Some([*at, usize::MAX]),
+            Self::Pulse(at, length) => Some([*at, *at + *length]),
             _ => None,
         }
     }
 
-    /// Its columns for `n` points.
+    /// Its columns for `n` points; `driven` is what valve and process make of OP.
     #[must_use]
-    pub(crate) fn columns(&self, n: usize, process: &Process) -> Vec<Vec<f64>> {
-        let driven = &process.driven;
+    pub(crate) fn columns(&self, n: usize, driven: &[f64]) -> Vec<Vec<f64>> {
         let of = |x: &dyn Fn(usize) -> f64| (0..n).map(x).collect::<Vec<f64>>();
-        let step = |entry: Entry, at: usize, k: usize| k.checked_sub(at).map_or(0.0, |k| process.after_load(entry, k));
         match self {
-            Self::Step(entry, at) => vec![of(&|k| step(*entry, *at, k))],
-            Self::Pulse(entry, at, length) => vec![of(&|k| step(*entry, *at, k) - step(*entry, at + length, k))],
+            Self::Step(at) => vec![of(&|k| f64::from(u8::from(k >= *at)))],
+            Self::Pulse(at, length) => vec![of(&|k| f64::from(u8::from((*at..at + length).contains(&k))))],
             Self::Ramp(from) => vec![of(&|k| k.saturating_sub(*from) as f64 / n as f64)],
             Self::Sinusoid(frequency) => wave(*frequency, n).into(),
             Self::Drift => vec![of(&|k| (2.0 * k as f64 / n as f64 - 1.0) * driven[k])],
@@ -138,27 +101,15 @@ impl Shape {
     /// Its sizes in recorded units; `gain` is what PV gains with OP at rest, standard deviations of one over those of the
     /// other, `None` where that is not known.
     #[must_use]
-    pub(crate) fn sizes(
-        &self,
-        beta: &[f64],
-        process: &Process,
-        series: &Series,
-        gain: Option<f64>,
-    ) -> BTreeMap<String, Quantity> {
+    pub fn sizes(&self, beta: &[f64], series: &Series, gain: Option<f64>) -> BTreeMap<String, Quantity> {
         let first = beta.first().copied().unwrap_or(0.0);
         let deviation = series.of_pv[1];
-        // What enters before the process is as large as PV would come to if OP rested.
-        let height = || self.columns(series.n(), process).iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
-        let straight = |entry: Entry| ("straight", f64::from(u8::from(entry == Entry::Pv)), "1");
         let whole_s = series.n() as f64 * series.point_s;
         let sizes: Vec<(&str, f64, &str)> = match self {
-            Self::Step(entry, at) => {
-                vec![("at", series.time_s(*at), "s"), ("size", first * deviation * height(), "PV"), straight(*entry)]
-            }
-            Self::Pulse(entry, at, length) => vec![
+            Self::Step(at) => vec![("at", series.time_s(*at), "s"), ("size", first * deviation, "PV")],
+            Self::Pulse(at, length) => vec![
                 ("at", series.time_s(*at), "s"),
-                ("size", first * deviation * height(), "PV"),
-                straight(*entry),
+                ("size", first * deviation, "PV"),
                 ("length", *length as f64 * series.point_s, "s"),
             ],
             Self::Ramp(from) => {
@@ -213,23 +164,17 @@ mod tests {
     #[test]
     fn the_columns_are_what_the_names_say() {
         let driven: Vec<f64> = (0..100).map(|k| libm::sin(f64::from(k) * 0.3)).collect();
-        let load = (0..100).map(|k| 1.0 - libm::exp(-f64::from(k) / 5.0)).collect();
-        let process = Process { driven: driven.clone(), load: Some(load) };
-        let one = |shape: Shape| shape.columns(100, &process).remove(0);
-        assert_eq!(one(Shape::Step(Entry::Pv, 40))[39..42], [0.0, 1.0, 1.0]);
-        assert_eq!(one(Shape::Pulse(Entry::Pv, 40, 2))[39..43], [0.0, 1.0, 1.0, 0.0]);
-        let late = one(Shape::Step(Entry::Process, 40));
-        assert!(late[40] == 0.0 && (late[45] - (1.0 - libm::exp(-1.0))).abs() < 1e-12 && late[99] > 0.99);
-        let gone = one(Shape::Pulse(Entry::Process, 40, 5));
-        assert!(gone[44] == late[44] && gone[46] < gone[45] && gone[99] < 0.01);
+        let one = |shape: Shape| shape.columns(100, &driven).remove(0);
+        assert_eq!(one(Shape::Step(40))[39..42], [0.0, 1.0, 1.0]);
+        assert_eq!(one(Shape::Pulse(40, 2))[39..43], [0.0, 1.0, 1.0, 0.0]);
         assert!((one(Shape::Ramp(40))[90] - 0.5).abs() < 1e-12 && one(Shape::Ramp(40))[40] == 0.0);
         assert!((one(Shape::Sinusoid(0.07))[99] - libm::sin(2.0 * PI * 6.93)).abs() < 1e-9);
         assert_eq!(one(Shape::Drift)[0], -driven[0]);
         assert!(one(Shape::Bend).iter().sum::<f64>().abs() < 1e-9);
-        let wild = Shape::Outliers(vec![3, 50]).columns(100, &process);
+        let wild = Shape::Outliers(vec![3, 50]).columns(100, &driven);
         assert!(wild.len() == 2 && wild[1][50] == 1.0 && wild[1].iter().sum::<f64>() == 1.0);
         let known = |shape: &Shape| effects::by_id(shape.id()).is_some();
-        let all = [Shape::Step(Entry::Pv, 1), Shape::Ramp(1), Shape::Sinusoid(0.1), Shape::Drift, Shape::Bend];
+        let all = [Shape::Step(1), Shape::Ramp(1), Shape::Sinusoid(0.1), Shape::Drift, Shape::Bend];
         assert!(all.iter().chain([&Shape::Outliers(Vec::new())]).all(known));
     }
 }

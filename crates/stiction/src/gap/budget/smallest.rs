@@ -5,7 +5,7 @@ use super::arx::whitened;
 use super::scan::Scan;
 use super::search::{LEAST_GAIN, Model, Searched, is_same, search};
 use super::series::{START, Series};
-use super::shapes::{APART, Entry, Process, Shape};
+use super::shapes::{APART, Shape};
 
 /// Onsets at which the innovations of a step are asked, and the part of them at which it must show.
 const ONSETS: usize = 20;
@@ -49,14 +49,13 @@ fn least(range: [f64; 2], halvings: usize, holds: impl Fn(f64) -> bool) -> Optio
 /// A record into which effects are put.
 struct Trial<'r> {
     series: &'r Series,
-    process: &'r Process,
     searched: &'r Searched,
     scan: Scan<'r>,
 }
 
 impl<'r> Trial<'r> {
-    fn new(series: &'r Series, model: &'r Model, searched: &'r Searched) -> Option<Self> {
-        Some(Self { series, process: &model.process, searched, scan: Scan::new(&searched.fit, series.n())? })
+    fn new(series: &'r Series, searched: &'r Searched) -> Option<Self> {
+        Some(Self { series, searched, scan: Scan::new(&searched.fit, series.n())? })
     }
 
     /// The least size of a column whose innovations cost that much, nats, the noise model left as it is.
@@ -74,8 +73,8 @@ impl<'r> Trial<'r> {
         let series = Series { pv, ..self.series.clone() };
         let found = Model::of(&series).map(|model| search(&series, &model).added).unwrap_or_default();
         let is_it = |own: &Shape| match (own, shape) {
-            (Shape::Step(_, own), Shape::Step(_, put)) => own.abs_diff(*put) <= ONSET_MISSED,
-            _ => is_same(own, shape, self.process, series.n()),
+            (Shape::Step(own), Shape::Step(put)) => own.abs_diff(*put) <= ONSET_MISSED,
+            _ => is_same(own, shape, series.n()),
         };
         self.searched.added.iter().chain(&found).any(|added| is_it(&added.shape))
     }
@@ -98,12 +97,11 @@ impl<'r> Trial<'r> {
 /// The least step that would have been named, standard deviations of PV.
 #[must_use]
 pub(crate) fn step(series: &Series, model: &Model, searched: &Searched) -> Option<f64> {
-    let trial = Trial::new(series, model, searched)?;
+    let trial = Trial::new(series, searched)?;
     let n = series.n();
     let onsets = trial.scan.onsets();
-    let some = Shape::Step(Entry::Pv, 0);
-    let cost = some.cost(n, trial.scan.tried(&some, &model.process, 0)) + LEAST_GAIN;
-    let column = |at: usize| model.columns(&Shape::Step(Entry::Pv, at)).remove(0);
+    let cost = Shape::Step(0).cost(n, onsets.len()) + LEAST_GAIN;
+    let column = |at: usize| model.columns(&Shape::Step(at)).remove(0);
     let shown = |i: usize| {
         let at = onsets.start + (onsets.len() - 1) * (2 * i + 1) / (2 * ONSETS);
         trial.shown(&column(at), cost).unwrap_or(f64::INFINITY)
@@ -112,7 +110,7 @@ pub(crate) fn step(series: &Series, model: &Model, searched: &Searched) -> Optio
     sizes.sort_by(f64::total_cmp);
     let from = Some(sizes[(SEEN * ONSETS as f64) as usize - 1]).filter(|size| size.is_finite())?;
     let at = |place: &f64| (place * n as f64) as usize;
-    let shapes: Vec<_> = PLACES.iter().map(|place| (Shape::Step(Entry::Pv, at(place)), column(at(place)))).collect();
+    let shapes: Vec<_> = PLACES.iter().map(|place| (Shape::Step(at(place)), column(at(place)))).collect();
     trial.named(&shapes, from)
 }
 
@@ -120,13 +118,12 @@ pub(crate) fn step(series: &Series, model: &Model, searched: &Searched) -> Optio
 /// point.
 #[must_use]
 pub(crate) fn sinusoid(series: &Series, model: &Model, searched: &Searched) -> Option<(f64, f64)> {
-    let trial = Trial::new(series, model, searched)?;
+    let trial = Trial::new(series, searched)?;
     let n = series.n();
     let frequencies = trial.scan.frequencies(series);
     let by = |f: &&f64| (**f * n as f64 - CYCLES).abs();
     let is_apart = |f: &f64| (f - 1.0 / series.period).abs() * n as f64 >= APART;
-    let is_new =
-        |f: &f64| searched.added.iter().all(|added| !is_same(&Shape::Sinusoid(*f), &added.shape, &model.process, n));
+    let is_new = |f: &f64| searched.added.iter().all(|added| !is_same(&Shape::Sinusoid(*f), &added.shape, n));
     let is_free = |f: &&f64| is_apart(f) && is_new(f);
     let frequency = *frequencies.iter().filter(is_free).min_by(|x, y| by(x).total_cmp(&by(y)))?;
     let shape = Shape::Sinusoid(frequency);
@@ -155,7 +152,7 @@ mod tests {
                 series.pv.iter().enumerate().map(|(k, y)| y + if k >= 450 { share * size } else { 0.0 }).collect();
             let series = Series { pv: record, ..series.clone() };
             let model = Model::of(&series).unwrap();
-            search(&series, &model).added.iter().any(|a| matches!(a.shape, Shape::Step(_, at) if at.abs_diff(450) <= 3))
+            search(&series, &model).added.iter().any(|a| matches!(a.shape, Shape::Step(at) if at.abs_diff(450) <= 3))
         };
         assert!(put(1.2) && !put(0.3), "{size}");
         let (amplitude, frequency) = sinusoid(&series, &model, &search(&series, &model)).unwrap();

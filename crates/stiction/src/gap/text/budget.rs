@@ -151,7 +151,7 @@ fn smallest(budget: &BudgetNote) -> Option<String> {
         }
     };
     let all: Vec<String> = budget.smallest.iter().map(one).collect();
-    (!all.is_empty()).then(|| format!("{} or more would have been named", all.join(", and ")))
+    (!all.is_empty()).then(|| format!("{} or more would most likely have been named", all.join(", and ")))
 }
 
 fn predicted(told: &TellableNote) -> String {
@@ -196,6 +196,8 @@ fn helps(told: &TellableNote) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::super::budget::document::NOT_IN_CATALOGUE;
+    use super::super::super::document::CauseNote;
     use super::super::{report, summary};
     use super::*;
 
@@ -218,13 +220,7 @@ mod tests {
     #[test]
     fn upsets_are_said_with_times_sizes_and_lengths() {
         let mut part = document().budget.unwrap().parts.remove(0);
-        let event = |at_s: f64, length_s: Option<f64>| EventNote {
-            at_s,
-            size: -1.5,
-            straight: true,
-            length_s,
-            confirmed: true,
-        };
+        let event = |at_s: f64, length_s: Option<f64>| EventNote { at_s, size: -1.5, length_s, confirmed: true };
         (part.id, part.confirmed, part.gain_nats) = (UPSETS.to_owned(), Some(true), Some(40.0));
         part.events = vec![event(300.0, None), event(900.0, Some(60.0))];
         assert_eq!(
@@ -248,5 +244,24 @@ mod tests {
         );
         d.cause.why = Some("not_in_catalogue".to_owned());
         assert!(summary(&d)[0].starts_with("Unknown: no effect of the catalogue"));
+    }
+
+    #[test]
+    fn a_cause_that_is_only_suspected_says_that_the_record_cannot_tell_it() {
+        let mut told = document().tellable.unwrap();
+        let mut why = |id: &str, confirmed: bool, gain_nats: f64| {
+            told.gain_nats = gain_nats;
+            let cause = CauseNote { id: id.to_owned(), probability: 0.8, confirmed, why: None };
+            cause.why_by(&told)
+        };
+        assert_eq!(why("sinusoid", false, 12.0), Some(CANNOT_BE_TOLD));
+        assert_eq!(why("backlash+sinusoid", false, 12.0), Some(CANNOT_BE_TOLD));
+        assert_eq!((why("sinusoid", true, 12.0), why("sinusoid", false, 200.0)), (None, None));
+        // PV alone shows these, and nothing is missing.
+        assert_eq!((why("clipping", false, 12.0), why("none", false, 12.0)), (None, None));
+        assert_eq!(
+            (why("unknown", false, 12.0), why("unknown", false, 200.0)),
+            (Some(CANNOT_BE_TOLD), Some(NOT_IN_CATALOGUE))
+        );
     }
 }
