@@ -196,6 +196,7 @@ fn calibrated(args: &Args, cases: &[Case]) -> Option<Calibration> {
         second: tally.second.smoothed(),
         coloured_noise: tally.coloured.smoothed(),
         neighbour: Calibration::shipped().neighbour,
+        random_friction: Calibration::shipped().random_friction,
         unknown: tally.unknown.smoothed(),
         from: String::new(),
     })

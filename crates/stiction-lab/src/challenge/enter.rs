@@ -68,7 +68,7 @@ impl Made {
             | Kind::RateLimit
             | Kind::PositionerLag
             | Kind::ChangingStiction
-            | Kind::RandomPacking => self.enter_valve(kind, size, scale, draw),
+            | Kind::RandomFriction => self.enter_valve(kind, size, scale, draw),
             Kind::Sinusoid
             | Kind::Ramp
             | Kind::StepLoad
@@ -145,7 +145,7 @@ impl Made {
                 let growth = valve.growth;
                 self.note("growth", growth, "");
             }
-            Kind::RandomPacking => {
+            Kind::RandomFriction => {
                 valve.scatter = 0.4 * size;
                 let scatter = valve.scatter;
                 self.note("scatter", scatter, "");

@@ -92,7 +92,7 @@ pub enum Kind {
     /// Sampling times jitter, but the timestamps do not show it.
     ClockJitter,
     /// The breakaway force varies from one rest to the next.
-    RandomPacking,
+    RandomFriction,
     /// PV falls more slowly than it rises.
     SluggishFall,
     /// Several external steps and short pulses.
@@ -132,16 +132,18 @@ impl Kind {
     pub const FILTER: Self = Self::SensorFilter;
 
     /// Effects outside the catalogue.
-    pub const FOREIGN: [Self; 8] = [
+    pub const FOREIGN: [Self; 7] = [
         Self::InteractingLoop,
         Self::ChangingStiction,
         Self::RetunedFilter,
         Self::UpstreamCycle,
         Self::FlowDependentLag,
         Self::ClockJitter,
-        Self::RandomPacking,
         Self::SluggishFall,
     ];
+
+    /// An effect that joined the catalogue later: after the foreign ones, so that the other cases of a seed do not change.
+    pub const JOINED: Self = Self::RandomFriction;
 
     /// Effects that the budget alone names, outside every usual deck.
     pub const OF_BUDGET: [Self; 1] = [Self::Upsets];
@@ -181,7 +183,7 @@ impl Kind {
             Self::UpstreamCycle => "upstream_cycle",
             Self::FlowDependentLag => "flow_dependent_lag",
             Self::ClockJitter => "clock_jitter",
-            Self::RandomPacking => "random_packing",
+            Self::RandomFriction => "random_friction",
             Self::SluggishFall => "sluggish_fall",
             Self::Upsets => "upsets",
         }
@@ -199,7 +201,7 @@ impl Kind {
             | Self::RateLimit
             | Self::PositionerLag
             | Self::ChangingStiction
-            | Self::RandomPacking => Stage::Valve,
+            | Self::RandomFriction => Stage::Valve,
             Self::ExtraLag
             | Self::StaticNonlinearity
             | Self::InverseResponse
@@ -231,13 +233,19 @@ impl Kind {
     /// Whether it is in the catalogue.
     #[must_use]
     pub fn is_in_catalogue(self) -> bool {
-        self == Self::FILTER || Self::CATALOGUE.contains(&self)
+        [Self::FILTER, Self::JOINED].contains(&self) || Self::CATALOGUE.contains(&self)
+    }
+
+    /// Whether the catalogue has it in a form that its sizes fix.
+    #[must_use]
+    pub fn has_form(self) -> bool {
+        self.is_in_catalogue() && self != Self::JOINED
     }
 
     /// Whether a free run cannot predict it even if it is known: its residual counts as noise floor.
     #[must_use]
     pub const fn is_unpredictable(self) -> bool {
-        matches!(self, Self::ColouredNoise | Self::Quantisation | Self::Outliers)
+        matches!(self, Self::ColouredNoise | Self::Quantisation | Self::Outliers | Self::RandomFriction)
     }
 }
 

@@ -80,7 +80,7 @@ pub struct TruthCase {
     /// Residual of a refitted first-order process behind the true base valve, root mean square, PV units.
     pub base_rmse: f64,
     /// Residual of the catalogue's form of the truth with the true sizes (gain and bias refitted), PV units; none if the catalogue
-    /// has no such form.
+    /// has no such form or chance decides it.
     pub oracle_rmse: Option<f64>,
 }
 
@@ -121,7 +121,7 @@ impl TruthCase {
             tau: case.made.plant.process.tau,
             dead_time: case.made.plant.process.dead_time,
             base_rmse: case.base_rmse,
-            oracle_rmse: (answer != Answer::Foreign).then_some(case.oracle_rmse),
+            oracle_rmse: order.kinds.iter().all(|k| k.has_form()).then_some(case.oracle_rmse),
         }
     }
 

@@ -16,7 +16,7 @@ use stiction_lab::challenge::{Deck, Kind, Split, TruthCase};
 const FEW: u64 = 20_000;
 
 /// An environment variable as a number.
-fn asked(name: &str, usual: u64) -> u64 {
+pub(crate) fn asked(name: &str, usual: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
 }
 

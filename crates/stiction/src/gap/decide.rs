@@ -151,11 +151,13 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     // Of samples that would have been left out of the fits, nothing is known.
     let hidden =
         basis.traces.iter().any(|t| !has(t) && effects::by_id(t).is_some_and(|e| e.masks || e.recorder.is_some()));
+    let random = effects::random_friction::EFFECT.id;
     match ranked.first() {
         Some(best) if best.lead > 0.0 && outcomes.right >= calibration.name_from && !hidden => {
             answer(&best.id, outcomes.right, By::Choice)
         }
         _ if outcomes.none >= outcomes.other && !hidden => answer(NONE, outcomes.none, By::Choice),
+        _ if breaks_at_random(basis) && has(random) => answer(random, calibration.random_friction, By::Choice),
         _ => {
             let share = if coloured { calibration.coloured_noise } else { calibration.unknown };
             answer(unnamed, outcomes.other * share, By::Choice)
@@ -213,6 +215,11 @@ fn filter_explains(evidence: &Evidence, filter: &str, best: Option<&&Contender>)
     let most = best.map_or(0.0, |b| b.lead.max(0.0));
     let own = evidence.contenders.iter().find(|c| c.id == filter);
     own.is_none_or(|c| c.lead >= BESIDE_BEST * most)
+}
+
+/// Whether bands differ at random where there is something to explain, and the valve may.
+fn breaks_at_random(basis: &Basis) -> bool {
+    basis.random_bands && !basis.base_at_floor && basis.by_mv != Some(Stage::Process)
 }
 
 /// Whether what is left is noise with a memory and nothing else.
@@ -346,6 +353,7 @@ mod tests {
             filter: false,
             floor_owes: [].into(),
             acts: None,
+            random_bands: false,
             skew: None,
             noise,
             alone: None,

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::iter;
 
+use super::break_away::{self, Replay};
 use super::decide;
 use super::effects::{self, Way};
 use super::evidence::{Basis, Evidence, Left};
@@ -23,7 +24,9 @@ use super::search::Search;
 use super::signatures;
 use super::stages;
 use super::traces::Traces;
-use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, GapOptions, Predictions};
+use super::types::{
+    Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, GapOptions, Predictions, UNKNOWN,
+};
 use super::weigh::Scales;
 use crate::ident::controller;
 use crate::record::Record;
@@ -121,8 +124,8 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let mut problem = problem;
     let base_fit = fit_to_all(&problem, &found.base, &mut work);
     work.begin(budget);
-    let is_asked = !options.without.iter().any(|w| w == effects::neighbour::EFFECT.id);
-    let others = if is_asked { &options.neighbours[..] } else { &[] };
+    let is_asked = |id: &str| !options.without.iter().any(|w| w == id);
+    let others = if is_asked(effects::neighbour::EFFECT.id) { &options.neighbours[..] } else { &[] };
     let offered = neighbours::look(record, &problem, &found, base_fit.as_ref(), others, &mut work);
     let mut rivals = Vec::new();
     for (with, search) in offered.as_ref().map(|o| o.fits.clone()).unwrap_or_default() {
@@ -136,9 +139,11 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     }
     check_floor(&problem, &found, &traces, &mut floor);
     work.begin(budget);
-    let wanted = !options.without.iter().any(|w| w == effects::sensor_filter::EFFECT.id);
-    let filtered =
-        if wanted { filter::look(record, &problem, &found, &traces, floor.noise_floor, &mut work) } else { None };
+    let filtered = if is_asked(effects::sensor_filter::EFFECT.id) {
+        filter::look(record, &problem, &found, &traces, floor.noise_floor, &mut work)
+    } else {
+        None
+    };
     let owes = floor_owes(&traces, &floor, filtered.as_ref());
     if let Some(filtered) = &filtered {
         (floor.noise_sd, floor.noise_floor) = (Some(filtered.noise_sd), Some(filtered.noise_sd));
@@ -202,10 +207,20 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         made.settle(&[]);
         found.searches.extend(searches);
     }
+    let random = &effects::random_friction::EFFECT;
+    let replay = is_asked(random.id).then(|| replay(record, &problem, &made, &mut work)).flatten();
+    if let Some(replay) = &replay {
+        let scales = scales(&problem, &found, &made.base, &traces, &made.floor, options.seed);
+        let result = scales.replayed(random, replay);
+        made.effects.push(result);
+        made.basis.random_bands = true;
+        made.settle(&[]);
+    }
     run_forward(record, &problem, &found, &mut made, &mut work);
     let is_cause = |search: &&Search| !made.fits_to_all.is_empty() && search.structure.id_in(&problem) == made.cause.id;
     let cause = found.searches.iter().find(is_cause);
-    made.fits_to_all.extend(cause.and_then(|search| fit_to_all(&problem, search, &mut work)));
+    let fit_of_cause = cause.and_then(|search| fit_to_all(&problem, search, &mut work));
+    made.fits_to_all.extend(fit_of_cause.or_else(|| replay.map(|replay| replay.fit)));
     made.confirm();
     made.next_test = next_test(&problem, &found, &made);
     made.evaluations = work.done;
@@ -224,6 +239,17 @@ fn fit_to_all(problem: &Problem, search: &Search, work: &mut Work<'_>) -> Option
     }
     let nothing = vec![false; problem.n()];
     refitted(problem, &nothing, &[search], None, work)?.pop()
+}
+
+/// A replay of OP with random bands, where nothing else is named.
+fn replay(record: &Record, problem: &Problem, made: &Diagnosis, work: &mut Work<'_>) -> Option<Replay> {
+    let (base, floor) = (made.fits_to_all.first()?, made.floor.noise_floor?);
+    work.begin(made.budget_evaluations);
+    if made.cause.id != UNKNOWN || made.base.at_floor || !work.goes_on() {
+        return None;
+    }
+    let found = work.all(break_away::SEARCHES, |which| break_away::search(record, base, problem.blocks.from, which));
+    break_away::judge(record, problem, base, floor, found.into_iter().flatten())
 }
 
 fn scales<'a>(
@@ -284,7 +310,7 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
             _ => None,
         };
         match (effect.way, filtered) {
-            (Way::Simulated | Way::AgainstLinear | Way::Neighbour, _) => {}
+            (Way::Simulated | Way::AgainstLinear | Way::Neighbour | Way::Replay, _) => {}
             (Way::Filter, Some(filtered)) => out.push(scales.filtered(effect, filtered)),
             _ => out.push(scales.recorded(effect, floor_after)),
         }
@@ -337,6 +363,7 @@ fn basis(
         filter: weighed.iter().any(|e| e.simulated && e.id == effects::sensor_filter::EFFECT.id),
         floor_owes,
         acts: None,
+        random_bands: false,
         skew: skew.filter(|_| !left_out(effects::time_skew::EFFECT.id)),
         noise: noise::judge(problem, &of_base[0], &of_best, &slipped, options.seed),
         alone: noise::alone(problem, &of_base, &of_best, &slipped, options.seed),

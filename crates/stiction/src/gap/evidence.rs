@@ -36,6 +36,9 @@ pub struct Basis {
     /// The other loop's load that the noise model has in both halves.
     #[serde(default)]
     pub acts: Option<String>,
+    /// Whether a replay of OP finds bands that differ at random.
+    #[serde(default)]
+    pub random_bands: bool,
     /// Points by which the recorded OP is off the PV that it answers, where the controller says so.
     pub skew: Option<f64>,
     /// Noise models of the residual.
@@ -200,6 +203,7 @@ mod tests {
             filter: true,
             floor_owes: BTreeMap::from([("sensor_filter".to_owned(), 3.0)]),
             acts: None,
+            random_bands: false,
             skew: None,
             noise: models,
             alone: None,

@@ -4,6 +4,7 @@
 //! each effect of the [`effects::ALL`] catalogue, and judges them on held-out blocks.
 
 mod answer;
+mod break_away;
 pub mod budget;
 mod candidate;
 mod decide;

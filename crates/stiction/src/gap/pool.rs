@@ -200,6 +200,7 @@ fn basis(of: &[&Basis]) -> Basis {
         traces: traces.into_iter().filter(|(_, count)| *count >= WITH_TRACE).map(|(t, _)| t.clone()).collect(),
         filter: most(&|b| b.filter),
         acts: of[0].acts.clone().filter(|id| most(&|b| b.acts.as_ref() == Some(id))),
+        random_bands: most(&|b| b.random_bands),
         skew: median(of.iter().filter_map(|b| b.skew)).filter(|_| most(&|b| b.skew.is_some())),
         noise: models(of.iter().map(|b| &b.noise)),
         alone: is_most(alone.len(), of.len()).then(|| Alone {

@@ -1,5 +1,6 @@
 //! How far each effect closes the gap: held-out free run before and after, with an interval from its blocks.
 
+use super::break_away::Replay;
 use super::candidate::Candidate;
 use super::decide;
 use super::effects::{self, Effect, Rest};
@@ -144,6 +145,13 @@ impl Scales<'_> {
             separated_by: effect.separated_by,
             fit: made,
         }
+    }
+
+    /// Bands that differ at random, as a replay has them.
+    #[must_use]
+    pub(crate) fn replayed(&self, effect: &'static Effect, replay: &Replay) -> EffectResult {
+        let parameters = replay.parameters.clone();
+        EffectResult { parameters, lead: 0.0, ..self.recorded(effect, Some(replay.fit.rmse)) }
     }
 
     /// Per cent closed on held-out blocks and its interval; nothing where the base has no gap.

@@ -148,17 +148,12 @@ pub struct ProcessModel {
     pub integrating: bool,
 }
 
-/// A process model with its state, advanced sample by sample.
-///
-/// Every model is a sum of poles with the same two taps (partial fractions), so each is exact for a held input: two lags by
-/// `series_weights`, a lag before an integrator as `1/s - tau/(tau s + 1)`.
-#[derive(Debug, Clone)]
-pub struct ProcessState {
-    model: ProcessModel,
-    poles: [Branch; 2],
-    history: Vec<f64>,
-    newest: usize,
-    lag: usize,
+/// The poles of a process with their values: every model is a sum of poles with the same two taps (partial fractions), so each
+/// is exact for a held input; two lags by `series_weights`, a lag before an integrator as `1/s - tau/(tau s + 1)`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Poles {
+    gain: f64,
+    branches: [Branch; 2],
 }
 
 /// One pole of the sum: its recursion, weight and value.
@@ -173,15 +168,12 @@ impl Branch {
     const NONE: Self = Self { pole: Pole { a: 0.0, b0: 0.0, b1: 0.0 }, weight: 0.0, x: 0.0 };
 }
 
-impl ProcessState {
-    /// A process at rest with the valve at `v0` (an integrating one keeps its level there).
+impl Poles {
+    /// A process at rest with its input, which comes `fraction` of a sample late, at `v0` (an integrator is at 0).
     #[must_use]
-    pub fn at_rest(model: ProcessModel, v0: f64) -> Self {
-        let lag_whole = model.dead_time.max(0.0).floor();
-        let fraction = model.dead_time.max(0.0) - lag_whole;
+    pub(crate) fn at_rest(model: &ProcessModel, fraction: f64, v0: f64) -> Self {
         let lag = |tau: f64, weight: f64, x: f64| Branch { pole: Pole::lag(tau, fraction), weight, x };
-        let poles = match (model.integrating, model.tau > 0.0, model.tau2 > 0.0) {
-            // The level's rest is wherever the valve rests: the integrator sees the deviation only.
+        let branches = match (model.integrating, model.tau > 0.0, model.tau2 > 0.0) {
             (true, false, _) => [Branch { pole: Pole::integrator(fraction), weight: 1.0, x: 0.0 }, Branch::NONE],
             (true, true, _) => {
                 [Branch { pole: Pole::integrator(fraction), weight: 1.0, x: 0.0 }, lag(model.tau, -model.tau, 0.0)]
@@ -193,8 +185,38 @@ impl ProcessState {
             }
             (false, _, _) => [lag(model.tau.max(model.tau2).max(1e-6), 1.0, v0), Branch::NONE],
         };
-        let lag = lag_whole as usize;
-        Self { model, poles, history: vec![v0; lag + 2], newest: 0, lag }
+        Self { gain: model.gain, branches }
+    }
+
+    /// The next output, from the input's newer and older tap.
+    pub(crate) fn step(&mut self, newer: f64, older: f64) -> f64 {
+        let mut out = 0.0;
+        for Branch { pole, weight, x } in &mut self.branches {
+            *x = pole.a * *x + pole.b0 * newer + pole.b1 * older;
+            out += *weight * *x;
+        }
+        self.gain * out
+    }
+}
+
+/// A process model with its state, advanced sample by sample.
+#[derive(Debug, Clone)]
+pub struct ProcessState {
+    integrating: bool,
+    poles: Poles,
+    history: Vec<f64>,
+    newest: usize,
+    lag: usize,
+}
+
+impl ProcessState {
+    /// A process at rest with the valve at `v0` (an integrating one keeps its level there).
+    #[must_use]
+    pub fn at_rest(model: ProcessModel, v0: f64) -> Self {
+        let dead_time = model.dead_time.max(0.0);
+        let lag = dead_time as usize;
+        let poles = Poles::at_rest(&model, dead_time.fract(), v0);
+        Self { integrating: model.integrating, poles, history: vec![v0; lag + 2], newest: 0, lag }
     }
 
     /// PV (without noise) of this sample, given the valve position held since the sample before.
@@ -205,14 +227,9 @@ impl ProcessState {
         self.newest = (self.newest + 1) % n;
         self.history[self.newest] = valve;
         let tap = |back: usize| self.history[(self.newest + n - back % n) % n];
-        let offset = if self.model.integrating { rest } else { 0.0 };
+        let offset = if self.integrating { rest } else { 0.0 };
         let (newer, older) = (tap(self.lag) - offset, tap(self.lag + 1) - offset);
-        let mut out = 0.0;
-        for Branch { pole, weight, x } in &mut self.poles {
-            *x = pole.a * *x + pole.b0 * newer + pole.b1 * older;
-            out += *weight * *x;
-        }
-        self.model.gain * out
+        self.poles.step(newer, older)
     }
 }
 

@@ -25,6 +25,8 @@ pub enum Way {
     Controller,
     /// By a lag of PV that its noise shares.
     Filter,
+    /// By a replay of OP with a band of its own for each slip.
+    Replay,
     /// Against other loops' records, where these are given.
     Neighbour,
 }

@@ -19,6 +19,7 @@ pub(crate) mod outliers;
 mod positioner_lag;
 pub(crate) mod quantisation;
 pub(crate) mod ramp;
+pub(crate) mod random_friction;
 mod rate_limit;
 pub(crate) mod sensor_filter;
 pub(crate) mod sinusoid;
@@ -35,7 +36,7 @@ pub use clues::Clues;
 pub use effect::{Effect, MARGIN, Param, Reach, Rest, Start, Unit, Way};
 
 /// Every effect.
-pub const ALL: [&Effect; 27] = [
+pub const ALL: [&Effect; 28] = [
     &asymmetric_stiction::EFFECT,
     &slip_overshoot::EFFECT,
     &sliding_valve::EFFECT,
@@ -62,6 +63,7 @@ pub const ALL: [&Effect; 27] = [
     &frozen_sensor::EFFECT,
     &time_skew::EFFECT,
     &stiction::EFFECT,
+    &random_friction::EFFECT,
     &neighbour::EFFECT,
 ];
 
