@@ -142,8 +142,8 @@ impl Kind {
         Self::SluggishFall,
     ];
 
-    /// An effect that joined the catalogue later: after the foreign ones, so that the other cases of a seed do not change.
-    pub const JOINED: Self = Self::RandomFriction;
+    /// An effect that was foreign once: it comes after those that still are, so that most cases of a seed do not change.
+    pub const ADDED_LATER: Self = Self::RandomFriction;
 
     /// Effects that the budget alone names, outside every usual deck.
     pub const OF_BUDGET: [Self; 1] = [Self::Upsets];
@@ -233,13 +233,13 @@ impl Kind {
     /// Whether it is in the catalogue.
     #[must_use]
     pub fn is_in_catalogue(self) -> bool {
-        [Self::FILTER, Self::JOINED].contains(&self) || Self::CATALOGUE.contains(&self)
+        [Self::FILTER, Self::ADDED_LATER].contains(&self) || Self::CATALOGUE.contains(&self)
     }
 
-    /// Whether the catalogue has it in a form that its sizes fix.
+    /// Whether its true sizes determine what a model of the catalogue does.
     #[must_use]
     pub fn has_form(self) -> bool {
-        self.is_in_catalogue() && self != Self::JOINED
+        self.is_in_catalogue() && self != Self::ADDED_LATER
     }
 
     /// Whether a free run cannot predict it even if it is known: its residual counts as noise floor.

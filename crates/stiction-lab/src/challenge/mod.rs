@@ -107,7 +107,7 @@ impl Deck {
             });
         };
         let turn = |draw: &mut Draw| [draw.seed() % 3, draw.seed() % 2, draw.seed() % 4];
-        for kind in Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN).chain([Kind::JOINED]) {
+        for kind in Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN).chain([Kind::ADDED_LATER]) {
             let now = turn(&mut shuffle);
             (0..cases).for_each(|i| order(vec![kind], kind.id(), i, now, shuffle.chance(0.25)));
         }

@@ -25,7 +25,7 @@ fn friction_that_differs_from_slip_to_slip_is_named_and_little_else_is_taken_for
         Kind::ColouredNoise,
         Kind::UpstreamCycle,
     ];
-    let kinds: Vec<Option<Kind>> = [Kind::JOINED].into_iter().chain(others).map(Some).chain([None]).collect();
+    let kinds: Vec<Option<Kind>> = [Kind::ADDED_LATER].into_iter().chain(others).map(Some).chain([None]).collect();
     let deck = Deck::of(seed, Split::of_seed(seed), &kinds, cases);
     let mut rows: BTreeMap<String, [usize; 2]> = BTreeMap::new();
     for index in 0..deck.len() {
@@ -36,12 +36,12 @@ fn friction_that_differs_from_slip_to_slip_is_named_and_little_else_is_taken_for
         let Ok(made) = diagnose(&dealt.record, &options, &Serial) else { continue };
         let row = rows.entry(dealt.truth.effect).or_default();
         row[0] += 1;
-        row[1] += usize::from(made.cause.id == Kind::JOINED.id());
+        row[1] += usize::from(made.cause.id == Kind::ADDED_LATER.id());
     }
     for (effect, [of, named]) in &rows {
         println!("{effect:<24} named {named} of {of}");
     }
-    let [of, named] = rows[Kind::JOINED.id()];
+    let [of, named] = rows[Kind::ADDED_LATER.id()];
     let wrong: usize = rows.values().map(|row| row[1]).sum::<usize>() - named;
     assert!(2 * named >= of && 2 * wrong <= named, "{named} of {of}, {wrong} wrong");
 }

@@ -157,7 +157,9 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
             answer(&best.id, outcomes.right, By::Choice)
         }
         _ if outcomes.none >= outcomes.other && !hidden => answer(NONE, outcomes.none, By::Choice),
-        _ if breaks_at_random(basis) && has(random) => answer(random, calibration.random_friction, By::Choice),
+        _ if breaks_at_random(basis) && has(random) && !hidden => {
+            answer(random, calibration.random_friction, By::Choice)
+        }
         _ => {
             let share = if coloured { calibration.coloured_noise } else { calibration.unknown };
             answer(unnamed, outcomes.other * share, By::Choice)
@@ -217,7 +219,7 @@ fn filter_explains(evidence: &Evidence, filter: &str, best: Option<&&Contender>)
     own.is_none_or(|c| c.lead >= BESIDE_BEST * most)
 }
 
-/// Whether bands differ at random where there is something to explain, and the valve may.
+/// Whether bands differ at random where there is something to explain and the recorded valve position does not rule the valve out.
 fn breaks_at_random(basis: &Basis) -> bool {
     basis.random_bands && !basis.base_at_floor && basis.by_mv != Some(Stage::Process)
 }
@@ -303,7 +305,9 @@ pub(crate) fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> boo
 #[must_use]
 pub fn holds_out(evidence: &Evidence, cause: &Cause) -> bool {
     let named = evidence.contenders.iter().find(|c| c.id == cause.id);
-    named.map_or(cause.confirmed, |c| closes(c.closed_pct))
+    // Both halves gained, or it would not be named.
+    let random = cause.id == effects::random_friction::EFFECT.id;
+    random || named.map_or(cause.confirmed, |c| closes(c.closed_pct))
 }
 
 fn closes(pct: Option<f64>) -> bool {

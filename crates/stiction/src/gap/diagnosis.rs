@@ -213,6 +213,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         let scales = scales(&problem, &found, &made.base, &traces, &made.floor, options.seed);
         let result = scales.replayed(random, replay);
         made.effects.push(result);
+        made.effects.sort_by(|a, b| b.lead.total_cmp(&a.lead));
         made.basis.random_bands = true;
         made.settle(&[]);
     }
@@ -220,7 +221,8 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let is_cause = |search: &&Search| !made.fits_to_all.is_empty() && search.structure.id_in(&problem) == made.cause.id;
     let cause = found.searches.iter().find(is_cause);
     let fit_of_cause = cause.and_then(|search| fit_to_all(&problem, search, &mut work));
-    made.fits_to_all.extend(fit_of_cause.or_else(|| replay.map(|replay| replay.fit)));
+    made.fits_to_all
+        .extend(fit_of_cause.or_else(|| replay.filter(|_| made.cause.id == random.id).map(|replay| replay.fit)));
     made.confirm();
     made.next_test = next_test(&problem, &found, &made);
     made.evaluations = work.done;
@@ -241,11 +243,10 @@ fn fit_to_all(problem: &Problem, search: &Search, work: &mut Work<'_>) -> Option
     refitted(problem, &nothing, &[search], None, work)?.pop()
 }
 
-/// A replay of OP with random bands, where nothing else is named.
+/// A replay of OP with random bands, where the search names nothing.
 fn replay(record: &Record, problem: &Problem, made: &Diagnosis, work: &mut Work<'_>) -> Option<Replay> {
     let (base, floor) = (made.fits_to_all.first()?, made.floor.noise_floor?);
-    work.begin(made.budget_evaluations);
-    if made.cause.id != UNKNOWN || made.base.at_floor || !work.goes_on() {
+    if made.cause.id != UNKNOWN || made.base.at_floor || work.stopped {
         return None;
     }
     let found = work.all(break_away::SEARCHES, |which| break_away::search(record, base, problem.blocks.from, which));

@@ -151,7 +151,7 @@ impl Scales<'_> {
     #[must_use]
     pub(crate) fn replayed(&self, effect: &'static Effect, replay: &Replay) -> EffectResult {
         let parameters = replay.parameters.clone();
-        EffectResult { parameters, lead: 0.0, ..self.recorded(effect, Some(replay.fit.rmse)) }
+        EffectResult { parameters, lead: 0.0, ..self.recorded(effect, None) }
     }
 
     /// Per cent closed on held-out blocks and its interval; nothing where the base has no gap.

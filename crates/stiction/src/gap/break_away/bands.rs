@@ -16,7 +16,7 @@ pub(super) struct Bands {
     growth: f64,
 }
 
-/// Between which forces a stem broke away, OP units, and when, a share of the record from -0.5 to 0.5.
+/// When a stem broke away, a share of the record from -0.5 to 0.5, and between which forces, OP units.
 pub(super) type Break = (f64, [f64; 2]);
 
 /// Standard deviation of the logistic distribution of scale 1.
@@ -88,7 +88,7 @@ impl Bands {
                         (best, value) = (tried, other);
                     }
                 }
-                if value <= before {
+                if value <= before || value.is_nan() {
                     break;
                 }
             }

@@ -19,9 +19,9 @@ pub(super) struct Course {
     pub slips: Vec<Slip>,
     /// The stem at each point, OP units.
     pub stem: Vec<f64>,
-    /// Static band of the last slip at each point, by which times the ratio of the bands the stem came to rest below OP.
-    pub below: Vec<f64>,
-    /// What it costs to say the slips, nats.
+    /// Static band of the last slip, at each point: the stem rests by this times the ratio of the bands below that slip's OP.
+    pub last_band: Vec<f64>,
+    /// Negative log probability of the slips, nats.
     pub cost: f64,
 }
 
@@ -32,8 +32,8 @@ impl Course {
         self.slips[which].point..next
     }
 
-    /// OP at each point's last slip, by the ratio of the bands that the stem has.
-    pub(super) fn held(&self, ratio: f64) -> Vec<f64> {
-        self.stem.iter().zip(&self.below).map(|(stem, below)| stem + ratio * below).collect()
+    /// OP at the last slip, at each point, for the ratio of the bands that the stem has.
+    pub(super) fn op_at_slip(&self, ratio: f64) -> Vec<f64> {
+        self.stem.iter().zip(&self.last_band).map(|(stem, band)| stem + ratio * band).collect()
     }
 }

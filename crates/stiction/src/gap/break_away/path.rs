@@ -105,16 +105,16 @@ impl Search<'_> {
         let mut poles = path.poles;
         let run = self.plant.step(&mut poles, stem, path.stem);
         let at = point + self.plant.lag();
-        let error = self.pv[at] - self.plant.beside[at] - run;
+        let error = self.pv[at] - self.plant.offset[at] - run;
         let counts = if at < self.from { 0.0 } else { 1.0 };
         let weight = path.weight + log_p - 0.5 * counts * (error * error / self.variance).min(OUTLYING);
         Path { weight, slips: path.slips + log_p, stem, most, poles, last }
     }
 
     fn course(&self, start: f64, slips: Vec<Slip>, cost: f64) -> Course {
-        let mut course = Course { stem: vec![start; self.op.len()], below: vec![0.0; self.op.len()], slips, cost };
+        let mut course = Course { stem: vec![start; self.op.len()], last_band: vec![0.0; self.op.len()], slips, cost };
         for slip in &course.slips {
-            course.below[slip.point..].fill(slip.band);
+            course.last_band[slip.point..].fill(slip.band);
             course.stem[slip.point..].fill(self.op[slip.point] - self.plant.ratio * slip.band);
         }
         course

@@ -10,14 +10,12 @@ use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::process::{Poles, ProcessModel};
 
-/// Steps by which time constants (logarithm) and delay (a tenth of a point at the finest) are refined, and rounds of each.
+/// Steps of the time constants' logarithm by which they are refined, rounds of each, and points of delay for a step of 1.
 const FINER: [f64; 4] = [0.3, 0.1, 0.03, 0.01];
 const ROUNDS: usize = 3;
-/// Points by which the delay moves for a step of 1.
 const DELAY: f64 = 4.0;
 /// Kinetic over static band at least and at most.
 const RATIOS: [f64; 2] = [-0.9, 0.95];
-
 /// Kinetic over static band below which a band does not show in where the stem comes to rest.
 const LEAST_RATIO: f64 = 0.02;
 
@@ -26,18 +24,19 @@ const LEAST_RATIO: f64 = 0.02;
 pub(super) struct Plant {
     /// Times in points; its dead time is not used.
     model: ProcessModel,
-    /// Points from a move of the stem to its first effect on PV, at least those of the hold.
+    /// Points from a move of the stem to its first effect on PV, and the fewest: a sample is held until the next.
     delay: f64,
+    least_delay: f64,
     /// Stem at which an integrator rests, OP units.
     rest: f64,
-    /// What PV has at each point beside the run, PV units: level, drift, and what the process still does from before.
-    pub(super) beside: Vec<f64>,
+    /// PV less the run at each point, PV units: level, drift, and what the process still does from before.
+    pub(super) offset: Vec<f64>,
     /// Kinetic over static band.
     pub(super) ratio: f64,
 }
 
 impl Plant {
-    /// The process of a fit, with what the fit has beside it.
+    /// The process of a fit, with the offset of the fit's prediction.
     pub(super) fn of(fit: &Fit, record: &Record) -> Self {
         let process = &fit.model.process;
         let point_s = record.point_s();
@@ -45,22 +44,23 @@ impl Plant {
         let gain = if process.integrating { process.gain * point_s } else { process.gain };
         let integrating = process.integrating;
         let model = ProcessModel { gain, tau: tau(0), tau2: tau(1), dead_time: 0.0, integrating };
-        let delay = (process.dead_time_s / record.ts_s + 1.0) / record.box_samples as f64;
+        let least_delay = 1.0 / record.box_samples as f64;
+        let delay = (process.dead_time_s / record.ts_s + 1.0) * least_delay;
         let ratio = fit.model.valve.fd / fit.model.valve.fs;
-        let mut plant = Self { model, delay, rest: process.op, beside: Vec::new(), ratio };
+        let mut plant = Self { model, delay, least_delay, rest: process.op, offset: Vec::new(), ratio };
         let run = plant.run(&fit.valve);
-        plant.beside = fit.prediction.iter().zip(&run).map(|(p, run)| p - run).collect();
+        plant.offset = fit.prediction.iter().zip(&run).map(|(p, run)| p - run).collect();
         plant
     }
 
     /// Writes its gain and times, in recorded units, into a process.
-    pub(super) fn state(&self, process: &mut Process, record: &Record) {
+    pub(super) fn write_to(&self, process: &mut Process, record: &Record) {
         let point_s = record.point_s();
         let ProcessModel { gain, tau, tau2, .. } = self.model;
         process.gain = if process.integrating { gain / point_s } else { gain };
         let both = [tau.max(tau2), tau.min(tau2)];
         process.time_constants_s = both.into_iter().filter(|tau| *tau > 0.0).map(|tau| tau * point_s).collect();
-        process.dead_time_s = ((self.delay * record.box_samples as f64 - 1.0) * record.ts_s).max(0.0);
+        process.dead_time_s = (self.delay / self.least_delay - 1.0) * record.ts_s;
     }
 
     /// Whole points of the delay.
@@ -85,8 +85,8 @@ impl Plant {
         (0..stem.len()).map(|k| self.step(&mut poles, at(k), at(k.saturating_sub(1)))).collect()
     }
 
-    /// What it answers from the first of some points on to a stem that is one OP unit higher there, to the end of `n` points.
-    pub(super) fn answer(&self, points: &Range<usize>, n: usize) -> Vec<f64> {
+    /// Its response to a stem that is one OP unit higher at some points, from the first of these to the end of `n` points.
+    pub(super) fn pulse_response(&self, points: &Range<usize>, n: usize) -> Vec<f64> {
         let mut poles = Poles::at_rest(&self.model, self.delay.fract(), 0.0);
         let at = |k: usize| f64::from(u8::from(points.contains(&k)));
         let before = |k: usize, back: usize| k.checked_sub(self.lag() + back).map_or(0.0, at);
@@ -95,10 +95,10 @@ impl Plant {
 
     /// PV by a stem, PV units.
     pub(super) fn predicted(&self, stem: &[f64]) -> Vec<f64> {
-        self.run(stem).iter().zip(&self.beside).map(|(run, beside)| run + beside).collect()
+        self.run(stem).iter().zip(&self.offset).map(|(run, offset)| run + offset).collect()
     }
 
-    /// Fits gain, times, kinetic band and what is beside the run to a course's slips, with PV from point `from` on.
+    /// Fits gain, times, kinetic band and offset to a course's slips, with PV from point `from` on.
     pub(super) fn refit(&mut self, course: &mut Course, pv: &[f64], from: usize) {
         let Some(mut best) = self.fitted(course, pv, from) else { return };
         for by in FINER {
@@ -114,8 +114,8 @@ impl Plant {
                 }
             }
         }
-        // A gain of the other sign is no better model.
-        if best.gain > 0.0 {
+        // A gain of the other sign, or a kinetic band beyond the static one, is no better model.
+        if best.gain > 0.0 && (RATIOS[0]..=RATIOS[1]).contains(&best.kinetic) {
             *self = best.settled(course, self.ratio);
         }
     }
@@ -130,7 +130,7 @@ impl Plant {
         let mut left: Vec<f64> = pv.iter().zip(self.predicted(&course.stem)).map(|(pv, p)| pv - p).collect();
         for which in 0..course.slips.len() {
             let rest = course.rest(which);
-            let answer = self.answer(&rest, pv.len());
+            let answer = self.pulse_response(&rest, pv.len());
             let late = |k: usize| k.max(from).min(pv.len());
             let counted = &answer[late(rest.start) - rest.start..];
             let power = stats::dot(counted, counted);
@@ -142,7 +142,7 @@ impl Plant {
             let polished = (band.abs() - wanted * band.signum() / ratio).clamp(held, broke).copysign(band);
             let moved = -ratio * (polished - band);
             course.slips[which].band = polished;
-            course.below[rest.clone()].fill(polished);
+            course.last_band[rest.clone()].fill(polished);
             course.stem[rest.clone()].iter_mut().for_each(|stem| *stem += moved);
             left[rest.start..].iter_mut().zip(&answer).for_each(|(left, a)| *left -= moved * a);
         }
@@ -160,7 +160,7 @@ impl Plant {
             ];
             out.extend(scaled.into_iter().filter(|m| *m != model).map(|model| Self { model, ..self.clone() }));
             let delay = self.delay + DELAY * up;
-            out.extend((delay >= 0.0).then(|| Self { delay, ..self.clone() }));
+            out.extend((delay >= self.least_delay).then(|| Self { delay, ..self.clone() }));
         }
         out
     }
@@ -168,8 +168,8 @@ impl Plant {
     /// The coefficients that fit a course best.
     fn fitted(&self, course: &Course, pv: &[f64], from: usize) -> Option<Fitted> {
         let n = pv.len();
-        let held = course.held(self.ratio);
-        let mut columns = vec![self.run(&held), self.run(&course.below), vec![1.0; n]];
+        let held = course.op_at_slip(self.ratio);
+        let mut columns = vec![self.run(&held), self.run(&course.last_band), vec![1.0; n]];
         let ProcessModel { tau, tau2, integrating, .. } = self.model;
         let decay = |tau: f64| (0..n).map(|k| libm::exp((from as f64 - k.max(from) as f64) / tau)).collect();
         columns.extend([tau, tau2].into_iter().filter(|tau| *tau > 0.0).map(decay));
@@ -206,11 +206,12 @@ impl Fitted {
     fn settled(self, course: &mut Course, ratio: f64) -> Plant {
         let mut plant = self.plant;
         plant.model.gain *= self.gain;
-        plant.ratio = self.kinetic.clamp(RATIOS[0], RATIOS[1]);
-        course.stem = course.held(ratio).iter().zip(&course.below).map(|(held, b)| held - plant.ratio * b).collect();
+        plant.ratio = self.kinetic;
+        course.stem =
+            course.op_at_slip(ratio).iter().zip(&course.last_band).map(|(held, b)| held - plant.ratio * b).collect();
         let run = plant.run(&course.stem);
         let at = |k: usize| -> f64 { self.columns.iter().zip(&self.beta).map(|(column, b)| column[k] * b).sum() };
-        plant.beside = run.iter().enumerate().map(|(k, run)| at(k) - run).collect();
+        plant.offset = run.iter().enumerate().map(|(k, run)| at(k) - run).collect();
         plant
     }
 }
