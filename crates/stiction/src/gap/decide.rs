@@ -305,9 +305,7 @@ pub(crate) fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> boo
 #[must_use]
 pub fn holds_out(evidence: &Evidence, cause: &Cause) -> bool {
     let named = evidence.contenders.iter().find(|c| c.id == cause.id);
-    // Both halves gained, or it would not be named.
-    let random = cause.id == effects::random_friction::EFFECT.id;
-    random || named.map_or(cause.confirmed, |c| closes(c.closed_pct))
+    named.map_or(cause.confirmed, |c| closes(c.closed_pct))
 }
 
 fn closes(pct: Option<f64>) -> bool {

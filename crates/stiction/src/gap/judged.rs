@@ -165,9 +165,6 @@ impl Diagnosis {
         let trace = closes && self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
         let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
         let acts = self.basis.acts.as_ref() == Some(&self.cause.id);
-        // Both halves gained, or it would not be named.
-        let told =
-            [effects::time_skew::EFFECT.id, effects::random_friction::EFFECT.id].contains(&self.cause.id.as_str());
-        self.cause.confirmed = trace || own || acts || told;
+        self.cause.confirmed = trace || own || acts || (self.cause.id == effects::time_skew::EFFECT.id);
     }
 }

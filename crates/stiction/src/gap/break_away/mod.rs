@@ -222,7 +222,7 @@ mod tests {
     fn friction_that_differs_from_slip_to_slip_is_named_with_its_spread() {
         let record = record(0.3);
         let made = diagnosed(&record, &[]);
-        assert!(made.cause.id == "random_friction" && made.cause.confirmed, "{:?}", made.cause);
+        assert!(made.cause.id == "random_friction" && !made.cause.confirmed, "{:?}", made.cause);
         let value = |name: &str| made.named().unwrap().parameters.iter().find(|p| p.name == name).unwrap().value;
         assert!((value("median_fs") - 2.5).abs() < 0.4 && (value("spread") - 0.3).abs() < 0.12, "{:?}", made.named());
         let left = |fit: &Fit| variance_of(&record.pv, &fit.prediction, made.blocks.from).sqrt();
