@@ -16,7 +16,7 @@ use super::types::{
 pub struct Diagnosis {
     /// The base, refitted.
     pub base: Fit,
-    /// The base, and the base with the cause where the search fitted that, on all of the record: what the budget begins from.
+    /// The base, and the base with the cause where a search or a replay fitted that, on all of the record: what the budget begins from.
     /// Nothing was held out, so that their errors and gaps say nothing.
     pub fits_to_all: Vec<Fit>,
     /// The given model as it was given.

@@ -127,7 +127,6 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
         _ => return None,
     };
     let Parts { stroke, around, load, on_pv } = parts(model, *ts_s).ok()?;
-    let mut taus = process.time_constants_s.iter().map(|tau| tau / ts_s);
     let (op, pv) = (process.op, process.pv);
     let rest = if process.integrating { op } else { op + (sp - pv) / process.gain };
     let off = START_BANDS * (valve.fs + valve.fd.abs());
@@ -137,11 +136,8 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
     usable.then(|| LoopModel {
         ts_s: *ts_s,
         process: ProcessModel {
-            gain: if process.integrating { process.gain * ts_s } else { process.gain },
-            tau: taus.next().unwrap_or(0.0),
-            tau2: taus.next().unwrap_or(0.0),
             dead_time: process.dead_time_s / ts_s + reading.lag_samples.max(0.0),
-            integrating: process.integrating,
+            ..process.in_points(*ts_s)
         },
         rest_op: if process.integrating { rest } else { rest + off },
         rest_pv,

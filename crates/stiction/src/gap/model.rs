@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::sim::process::ProcessModel;
+
 /// Schema of the document.
 pub const SCHEMA: &str = "stictiond.model.v1";
 
@@ -37,6 +39,21 @@ pub struct Process {
     pub op: f64,
     /// PV at rest with the valve at `op`.
     pub pv: f64,
+}
+
+impl Process {
+    /// The same with times in points that are so many seconds apart.
+    #[must_use]
+    pub(crate) fn in_points(&self, point_s: f64) -> ProcessModel {
+        let mut taus = self.time_constants_s.iter().map(|tau| tau / point_s);
+        ProcessModel {
+            gain: if self.integrating { self.gain * point_s } else { self.gain },
+            tau: taus.next().unwrap_or(0.0),
+            tau2: taus.next().unwrap_or(0.0),
+            dead_time: self.dead_time_s / point_s,
+            integrating: self.integrating,
+        }
+    }
 }
 
 /// An effect in addition to valve and process.

@@ -39,11 +39,7 @@ impl Plant {
     /// The process of a fit, with the offset of the fit's prediction.
     pub(super) fn of(fit: &Fit, record: &Record) -> Self {
         let process = &fit.model.process;
-        let point_s = record.point_s();
-        let tau = |place: usize| process.time_constants_s.get(place).map_or(0.0, |t| t / point_s);
-        let gain = if process.integrating { process.gain * point_s } else { process.gain };
-        let integrating = process.integrating;
-        let model = ProcessModel { gain, tau: tau(0), tau2: tau(1), dead_time: 0.0, integrating };
+        let model = process.in_points(record.point_s());
         let least_delay = 1.0 / record.box_samples as f64;
         let delay = (process.dead_time_s / record.ts_s + 1.0) * least_delay;
         let ratio = fit.model.valve.fd / fit.model.valve.fs;
@@ -130,9 +126,9 @@ impl Plant {
         let mut left: Vec<f64> = pv.iter().zip(self.predicted(&course.stem)).map(|(pv, p)| pv - p).collect();
         for which in 0..course.slips.len() {
             let rest = course.rest(which);
-            let answer = self.pulse_response(&rest, pv.len());
+            let response = self.pulse_response(&rest, pv.len());
             let late = |k: usize| k.max(from).min(pv.len());
-            let counted = &answer[late(rest.start) - rest.start..];
+            let counted = &response[late(rest.start) - rest.start..];
             let power = stats::dot(counted, counted);
             if power <= 0.0 {
                 continue;
@@ -144,7 +140,7 @@ impl Plant {
             course.slips[which].band = polished;
             course.last_band[rest.clone()].fill(polished);
             course.stem[rest.clone()].iter_mut().for_each(|stem| *stem += moved);
-            left[rest.start..].iter_mut().zip(&answer).for_each(|(left, a)| *left -= moved * a);
+            left[rest.start..].iter_mut().zip(&response).for_each(|(left, r)| *left -= moved * r);
         }
     }
 

@@ -1,4 +1,4 @@
-//! Bands that differ from slip to slip, fs and fd in proportion: packing that does not let go at the same force twice.
+//! Bands that differ from slip to slip, fs and fd in proportion: the packing holds the stem with a different force after each slip.
 
 use super::effect::{Effect, Way};
 use crate::gap::types::Stage;
