@@ -113,7 +113,6 @@ pub fn diagnose(
     executor: &dyn Executor,
 ) -> Result<Diagnosed, GapError> {
     let diagnosis = gap::diagnose(&record, options, executor)?;
-    diagnosis.check_base()?;
     let location = locate(&record, &Subject::of(&diagnosis, options.period_points, options.seed));
     let document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
     Ok(Diagnosed { document, record, diagnosis })

@@ -282,7 +282,6 @@ impl GapRequest {
             ..GapOptions::default()
         };
         let alone = gap::diagnose(&self.record, &options, executor)?;
-        alone.check_base()?;
         let source = format!("window to {}", format_rfc3339(self.record.end_ns));
         let own = pool::Window::of(&source, &self.record, &alone);
         let windows: Vec<pool::Window> = self.earlier.iter().chain([&own]).cloned().collect();

@@ -133,14 +133,14 @@ pub struct CauseNote {
     /// Whether it also closes the gap on held-out data and in forward prediction; false means "suspected".
     pub confirmed: bool,
     /// Why it is `unknown`: `not_in_catalogue`, or `cannot_be_told` where the record holds too little. That is also said of an
-    /// effect of the plant that is only suspected.
+    /// effect of the plant that is only suspected, and beside a trace that closes next to nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
 }
 
 impl CauseNote {
-    /// What keeps the answer from being sure, where the record tells it.
-    pub(super) fn why_by(&self, told: &TellableNote) -> Option<&'static str> {
+    /// What keeps the answer from being sure, where the record tells it; `leads` is false of a cause that closes next to nothing.
+    pub(super) fn why_by(&self, told: &TellableNote, leads: bool) -> Option<&'static str> {
         let hardly = told.gain_nats < TOLD[0];
         // PV alone shows what a sensor or a recorder did to it.
         let acts_in_plant =
@@ -148,7 +148,7 @@ impl CauseNote {
         match self.id.as_str() {
             UNKNOWN if !hardly => Some(NOT_IN_CATALOGUE),
             UNKNOWN => Some(CANNOT_BE_TOLD),
-            _ => (hardly && !self.confirmed && acts_in_plant()).then_some(CANNOT_BE_TOLD),
+            _ => (hardly && (!leads || !self.confirmed && acts_in_plant())).then_some(CANNOT_BE_TOLD),
         }
     }
 }
@@ -295,6 +295,9 @@ pub struct GapDocument {
     pub version: String,
 }
 
+/// Per cent closed below which an effect is a side note.
+pub(super) const HARDLY_PCT: f64 = 10.0;
+
 /// 100 (1 - after / before); `None` if there was no gap.
 #[must_use]
 pub fn closed_pct(before: f64, after: f64) -> Option<f64> {
@@ -315,8 +318,14 @@ impl GapDocument {
         Self { budget, ..document.telling(tellable) }
     }
 
+    /// The named effect, unless it closes next to nothing: then it is a side note.
+    pub(super) fn leading(&self) -> Option<&EffectNote> {
+        self.named().filter(|e| e.closed_pct.is_none_or(|closed| closed >= HARDLY_PCT))
+    }
+
     fn telling(self, tellable: Option<TellableNote>) -> Self {
-        let why = tellable.as_ref().and_then(|told| self.cause.why_by(told)).map(str::to_owned);
+        let leads = self.named().is_none() || self.leading().is_some();
+        let why = tellable.as_ref().and_then(|told| self.cause.why_by(told, leads)).map(str::to_owned);
         Self { cause: CauseNote { why, ..self.cause }, tellable, ..self }
     }
 

@@ -7,7 +7,7 @@ use super::model::Model;
 use super::neighbour::Load;
 use super::probability::{Calibration, Features};
 use super::types::{
-    Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, FromSp, GapError, NONE, NextTest,
+    Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, FromSp, NONE, NextTest,
     NoiseModels, Predictions, Signature, Stages, UNKNOWN,
 };
 
@@ -97,16 +97,12 @@ impl Diagnosis {
         self.next_test = None;
     }
 
-    /// Whether anything can be concluded from the base.
-    ///
-    /// # Errors
-    /// [`GapError::WorseThanMean`].
-    pub fn check_base(&self) -> Result<(), GapError> {
+    /// Whether the base, with the named cause where there is one, follows held-out PV worse than PV's mean does.
+    fn is_worse_than_mean(&self) -> bool {
         let closed = self.named().and_then(|e| e.closed_pct).unwrap_or(0.0);
         // A given model may be better than the refitted one on the held-out blocks.
         let better = self.given.as_ref().map_or(1.0, |given| (given.gap / self.base.gap).min(1.0));
-        let left = self.relative_gap * better.min(1.0 - 0.01 * closed.max(0.0));
-        if left > 1.0 { Err(GapError::WorseThanMean { left_pct: 100.0 * self.relative_gap }) } else { Ok(()) }
+        self.relative_gap * better.min(1.0 - 0.01 * closed.max(0.0)) > 1.0
     }
 
     /// The result of the named cause, single or pair.
@@ -165,6 +161,35 @@ impl Diagnosis {
         let trace = closes && self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
         let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
         let acts = self.basis.acts.as_ref() == Some(&self.cause.id);
-        self.cause.confirmed = trace || own || acts || (self.cause.id == effects::time_skew::EFFECT.id);
+        let shows = trace || own || acts || self.cause.id == effects::time_skew::EFFECT.id;
+        self.cause.confirmed = shows && !self.is_worse_than_mean();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{GapOptions, Serial, diagnose};
+    use crate::record::Record;
+    use crate::sim::noise::Noise;
+
+    #[test]
+    fn nothing_is_confirmed_from_a_base_that_is_worse_than_the_mean() {
+        let turn = |k: usize, period: f64| libm::sin(2.0 * core::f64::consts::PI * k as f64 / period);
+        let (mut noise, mut stem) = (Noise::new(4, 1), 0.0);
+        let op: Vec<f64> = (0..600).map(|k| 50.0 + 4.0 * turn(k, 60.0) + turn(k, 331.0)).collect();
+        let follow = |(k, u): (usize, &f64)| {
+            stem += 0.3 * (u - stem);
+            stem + 2.0 * turn(k, 23.0) + 0.1 * noise.gaussian()
+        };
+        let pv = op.iter().enumerate().map(follow).collect();
+        let mut found = diagnose(&Record::uniform(1.0, op, pv), &GapOptions::default(), &Serial).unwrap();
+        assert!(found.cause.id == "sinusoid" && found.cause.confirmed, "{:?}", found.cause);
+        found.effects.iter_mut().for_each(|e| e.closed_pct = Some(20.0));
+        let confirmed = [1.0, 1.5].map(|relative_gap| {
+            found.relative_gap = relative_gap;
+            found.confirm();
+            found.cause.confirmed
+        });
+        assert_eq!(confirmed, [true, false]);
     }
 }

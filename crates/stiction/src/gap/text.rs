@@ -74,15 +74,10 @@ fn bump(test: &TestNote) -> String {
     )
 }
 
-/// The named effect, unless it closes next to nothing: then it is a side note.
-fn leading(d: &GapDocument) -> Option<&EffectNote> {
-    d.named().filter(|e| e.closed_pct.is_none_or(|closed| closed >= claim::HARDLY))
-}
-
 /// Three lines for a planner: the valve, not the valve or unknown; what to measure next; what that costs.
 #[must_use]
 pub fn summary(d: &GapDocument) -> [String; 3] {
-    let next = match (&d.next_test, leading(d).map(|e| e.separated_by.as_str()).filter(|by| !by.is_empty())) {
+    let next = match (&d.next_test, d.leading().map(|e| e.separated_by.as_str()).filter(|by| !by.is_empty())) {
         (Some(test), _) => bump(test),
         (None, Some(by)) => by.replace("; ", ", or "),
         (None, None) => "the valve position beside OP and PV".to_owned(),
@@ -101,7 +96,7 @@ fn conclusion(d: &GapDocument) -> String {
     if d.cause.id == NONE {
         return format!("No further effect: {} {} (p {p}).", base_of(d), claim::of_base(d));
     }
-    let Some(e) = leading(d) else {
+    let Some(e) = d.leading() else {
         return match d.named() {
             Some(e) => format!(
                 "Unknown: {} shows in the record, but closes less than a tenth of the gap.",
@@ -110,7 +105,8 @@ fn conclusion(d: &GapDocument) -> String {
             None if effects::kind(&d.cause.id) == effects::neighbour::EFFECT.id => {
                 format!("Outside the valve: {}.", without_fit(d))
             }
-            None => budget::cannot_be_told(d)
+            None => worse_than_mean(d)
+                .or_else(|| budget::cannot_be_told(d))
                 .unwrap_or_else(|| format!("Unknown: no effect of the catalogue explains the gap (p {p}).")),
         };
     };
@@ -124,6 +120,16 @@ fn conclusion(d: &GapDocument) -> String {
         stage if d.base.valve_model == "none" => format!("Outside the valve ({stage}): {what}."),
         stage => format!("Outside the valve ({stage}): {what}. The base has a sticking valve; `analyze` judges that."),
     }
+}
+
+/// The conclusion where nothing can be judged from the base.
+fn worse_than_mean(d: &GapDocument) -> Option<String> {
+    let left = d.gap.relative.filter(|left| *left > 1.0)?;
+    Some(format!(
+        "Unknown: the base model leaves {} of PV's standard deviation on held-out data, more than PV's mean does. Choose a section \
+         without trips, trends and data gaps in which OP moves PV, or check that OP and PV are not swapped.",
+        percent(100.0 * left)
+    ))
 }
 
 /// Said of a probability that holds for other loops.
@@ -312,7 +318,7 @@ pub fn answer(d: &GapDocument) -> String {
 fn first(d: &GapDocument) -> String {
     let id = &d.cause.id;
     match d.named().map(|e| Claim::of(d, e)) {
-        Some(_) if leading(d).is_none() => format!("{UNKNOWN}; beside it {id}, next to nothing of the gap"),
+        Some(_) if d.leading().is_none() => format!("{UNKNOWN}; beside it {id}, next to nothing of the gap"),
         Some(Claim::Suspected) => format!("{id}, suspected"),
         None if !d.cause.confirmed && ![NONE, UNKNOWN].contains(&id.as_str()) => format!("{id}, suspected"),
         _ => id.clone(),

@@ -183,16 +183,6 @@ pub enum GapError {
     /// A model that cannot be simulated on this record.
     #[error("the given model: {0}")]
     Model(#[from] super::model::ModelError),
-    /// The base follows PV worse than PV's own mean, and nothing that is named makes up for it.
-    #[error(
-        "the base model leaves {left_pct:.0} % of PV's standard deviation on held-out data, more than PV's mean does, so no effect \
-         can be judged from it: choose a section without trips, trends and data gaps in which OP moves PV, or check that OP and \
-         PV are not swapped"
-    )]
-    WorseThanMean {
-        /// What it leaves, % of PV's standard deviation.
-        left_pct: f64,
-    },
     /// A neighbour that cannot be offered.
     #[error(transparent)]
     Neighbour(#[from] NeighbourError),

@@ -36,7 +36,7 @@ pub(super) fn cannot_be_told(d: &GapDocument) -> Option<String> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PartText {
-    /// Share of PV's variance, %; all parts sum to 100.
+    /// Share of PV's variance, to a tenth of a %.
     pub share_pct: f64,
     /// Its standard deviation, PV units.
     pub sd: f64,
@@ -60,7 +60,9 @@ pub struct BudgetText {
 #[must_use]
 pub fn budget(d: &GapDocument) -> Option<BudgetText> {
     let budget = d.budget.as_ref()?;
-    let part = |part: &PartNote| PartText { share_pct: part.share_pct, sd: part.sd, words: words(part) };
+    // Zero keeps no sign.
+    let tenths = |pct: f64| (10.0 * pct).round() / 10.0 + 0.0;
+    let part = |part: &PartNote| PartText { share_pct: tenths(part.share_pct), sd: part.sd, words: words(part) };
     Some(BudgetText {
         head: head(budget),
         parts: budget.parts.iter().map(part).collect(),
@@ -213,8 +215,10 @@ mod tests {
         let shares = text.lines().filter(|l| l.contains(" %  ")).count();
         assert!(shares >= parts && text.contains("measurement noise"), "{text}");
         let part = &mut d.budget.as_mut().unwrap().parts[0];
-        (part.id, part.confirmed) = ("gain_drift".to_owned(), Some(false));
-        assert!(report(&d).contains("a drifting gain, suspected, not confirmed"));
+        (part.id, part.confirmed, part.share_pct) = ("gain_drift".to_owned(), Some(false), -0.01);
+        let text = report(&d);
+        assert!(text.contains(" 0.0 % ") && !text.contains("-0.0 %"), "{text}");
+        assert!(text.contains("a drifting gain, suspected, not confirmed"));
     }
 
     #[test]
@@ -244,6 +248,8 @@ mod tests {
         );
         d.cause.why = Some("not_in_catalogue".to_owned());
         assert!(summary(&d)[0].starts_with("Unknown: no effect of the catalogue"));
+        d.gap.relative = Some(1.25);
+        assert!(summary(&d)[0].starts_with("Unknown: the base model leaves 125 % of PV's standard deviation"));
     }
 
     #[test]
@@ -252,7 +258,7 @@ mod tests {
         let mut why = |id: &str, confirmed: bool, gain_nats: f64| {
             told.gain_nats = gain_nats;
             let cause = CauseNote { id: id.to_owned(), probability: 0.8, confirmed, why: None };
-            cause.why_by(&told)
+            cause.why_by(&told, true)
         };
         assert_eq!(why("sinusoid", false, 12.0), Some(CANNOT_BE_TOLD));
         assert_eq!(why("backlash+sinusoid", false, 12.0), Some(CANNOT_BE_TOLD));
@@ -263,5 +269,8 @@ mod tests {
             (why("unknown", false, 12.0), why("unknown", false, 200.0)),
             (Some(CANNOT_BE_TOLD), Some(NOT_IN_CATALOGUE))
         );
+        told.gain_nats = 12.0;
+        let cause = CauseNote { id: "swinging_door".to_owned(), probability: 0.9, confirmed: true, why: None };
+        assert_eq!([true, false].map(|leads| cause.why_by(&told, leads)), [None, Some(CANNOT_BE_TOLD)]);
     }
 }

@@ -1,13 +1,12 @@
 //! How strongly an answer is put into words: one rule for all sentences, from the numbers beside them.
 
-use super::super::document::{EffectNote, GapDocument};
+use super::super::document::{EffectNote, GapDocument, HARDLY_PCT};
 use super::super::effects;
 use super::super::sizes::percent;
 use crate::units::probability;
 
-/// Per cent closed from which an effect explains a gap, and below which it is a side note.
+/// Per cent closed from which an effect explains a gap.
 const EXPLAINS: f64 = 50.0;
-pub(super) const HARDLY: f64 = 10.0;
 /// Per cent below which nothing is said to be closed.
 const NOTHING: f64 = 0.5;
 /// Error over the floor up to which nothing is left.
@@ -42,10 +41,10 @@ impl Claim {
         // What leaves a trace in PV, or acts in both halves, is there, however little it closes; what was fitted is only there
         // if it closes.
         let acts = d.neighbours.as_ref().and_then(|n| n.acts.as_deref()).map(effects::neighbour::id_of);
-        if closed < HARDLY && (e.at_floor.is_none() || acts.as_ref() == Some(&e.id)) {
+        if closed < HARDLY_PCT && (e.at_floor.is_none() || acts.as_ref() == Some(&e.id)) {
             return Self::Hardly;
         }
-        if !d.cause.confirmed || closed < HARDLY {
+        if !d.cause.confirmed || closed < HARDLY_PCT {
             return Self::Suspected;
         }
         match e.closed_interval {
