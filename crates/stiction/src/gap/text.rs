@@ -92,6 +92,14 @@ pub fn summary(d: &GapDocument) -> [String; 3] {
 }
 
 fn conclusion(d: &GapDocument) -> String {
+    let answer = of_cause(d);
+    match budget::confirmed(d).filter(|_| answer.starts_with("Unknown")) {
+        Some(parts) => format!("{answer} {parts}"),
+        None => answer,
+    }
+}
+
+fn of_cause(d: &GapDocument) -> String {
     let p = probability(d.cause.probability);
     if d.cause.id == NONE {
         return format!("No further effect: {} {} (p {p}).", base_of(d), claim::of_base(d));

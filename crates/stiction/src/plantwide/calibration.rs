@@ -59,7 +59,7 @@ impl Chance {
 
     /// The threshold where so many pairs are compared.
     #[must_use]
-    pub fn threshold_among(&self, pairs: usize) -> f64 {
+    pub(crate) fn threshold_among(&self, pairs: usize) -> f64 {
         self.threshold + self.decay * libm::log((pairs as f64 / PAIRS).max(1.0))
     }
 }

@@ -30,8 +30,8 @@ pub use words::{of_member, text};
 
 use crate::record::Record;
 use crate::units::Moment;
+pub use crate::verdict::MemberJudgement;
 use crate::verdict::{Assessment, Gate};
-pub use crate::verdict::{MASKED, MemberJudgement};
 use cycle::Cycle;
 use evidence::{Evidence, Signals};
 use groups::Link;

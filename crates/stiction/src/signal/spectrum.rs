@@ -4,15 +4,8 @@ use std::sync::{Arc, LazyLock};
 
 use super::stats::dot;
 
-/// Autocorrelation of a zero-mean signal at lags `0..=max_lag`, biased (divided by n), 1 at lag 0; empty if the signal is
-/// constant.
-#[must_use]
-pub fn autocorrelation(x: &[f64], max_lag: usize) -> Vec<f64> {
-    let [found, _] = autocorrelations([x, &[]], max_lag);
-    found
-}
-
-/// The same for two signals in one transform (Cooley and Tukey 1965). It is bit-identical on every machine: its twiddle factors
+/// Autocorrelations of two zero-mean signals at lags `0..=max_lag`, biased (divided by n), 1 at lag 0; empty if a signal is
+/// constant. One transform gives both (Cooley and Tukey 1965). It is bit-identical on every machine: its twiddle factors
 /// are computed here and its sums have a fixed order.
 #[must_use]
 pub(crate) fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
@@ -156,6 +149,11 @@ mod tests {
 
     fn sine(n: usize, period: f64) -> Vec<f64> {
         (0..n).map(|k| libm::sin(2.0 * core::f64::consts::PI * (k as f64 + 0.3) / period)).collect()
+    }
+
+    fn autocorrelation(x: &[f64], max_lag: usize) -> Vec<f64> {
+        let [found, _] = autocorrelations([x, &[]], max_lag);
+        found
     }
 
     #[test]

@@ -238,7 +238,7 @@ impl ClosedLoop {
     }
 
     /// Switches back to automatic.
-    pub const fn set_auto(&mut self) {
+    pub(crate) const fn set_auto(&mut self) {
         self.pid.set_auto();
     }
 

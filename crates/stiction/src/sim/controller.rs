@@ -79,7 +79,7 @@ impl Pid {
     }
 
     /// Switches back to automatic; OP continues from its current value.
-    pub const fn set_auto(&mut self) {
+    pub(crate) const fn set_auto(&mut self) {
         self.manual = false;
     }
 

@@ -111,7 +111,7 @@ impl SimulatedPlant {
 
     /// True time of the next scan, ns since 1970.
     #[must_use]
-    pub fn next_scan_ns(&self) -> i64 {
+    pub(crate) fn next_scan_ns(&self) -> i64 {
         self.time_ns(self.scan)
     }
 

@@ -187,7 +187,7 @@ impl BumpTest {
 }
 
 /// What to do where no bump test is proposed.
-pub const OTHER_TEST: &str = "Have a valve signature recorded (travel against signal, slowly up and down, with the loop out of \
+const OTHER_TEST: &str = "Have a valve signature recorded (travel against signal, slowly up and down, with the loop out of \
      service), or trend the position feedback against OP over several reversals of OP.";
 
 impl Refusal {

@@ -3,7 +3,7 @@
 use super::document::{Assessment, MemberJudgement, Verdict};
 
 /// Reason of an estimate without a verdict: the loop follows an oscillation of its group, which hides the state of its valve.
-pub const MASKED: &str = "masked";
+const MASKED: &str = "masked";
 
 impl MemberJudgement {
     /// Puts the group's answer into the estimate of the member's window.
@@ -25,7 +25,7 @@ impl MemberJudgement {
 
 impl Assessment {
     /// Probability from which a valve is called sticking.
-    pub fn called_at(&self) -> f64 {
+    pub(crate) fn called_at(&self) -> f64 {
         self.explanation.map_or(0.5, |opinion| opinion.cuts.called)
     }
 }

@@ -26,6 +26,5 @@ pub use document::{
     Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement, Oscillation,
     Process, Search, Verdict, Window, reasons,
 };
-pub use group::MASKED;
 pub use params::AssessParams;
 pub use screen::{P_CALM, SCREENED};

@@ -81,9 +81,9 @@ pub const fn of(v: Verdict) -> Text {
 }
 
 /// The sentence of a sticking valve whose slip jump is not known: packing and play look alike then.
-pub const OPEN: &str = "the valve sticks; slip or play cannot be distinguished";
+pub(crate) const OPEN: &str = "the valve sticks; slip or play cannot be distinguished";
 /// What to inspect then.
-pub const OPEN_ACTION: &str = "confirm the band by a test; then inspect packing, actuator, air supply and positioner (slip), \
+pub(crate) const OPEN_ACTION: &str = "confirm the band by a test; then inspect packing, actuator, air supply and positioner (slip), \
      and linkage, gears and positioner feedback (play)";
 
 /// With a capital first letter.

@@ -44,7 +44,7 @@ pub fn claim(a: &Assessment) -> String {
 
 /// What was not found, with the detection limit.
 #[must_use]
-pub fn not_seen(a: &Assessment) -> String {
+fn not_seen(a: &Assessment) -> String {
     match a.s_detectable {
         Some(least) => format!("no sign of stiction above {} OP units found", number(least)),
         None => "no sign of stiction found, detection limit not determinable".to_owned(),

@@ -264,4 +264,4 @@ impl TellableNote {
 /// The record holds too little to tell causes apart.
 pub const CANNOT_BE_TOLD: &str = "cannot_be_told";
 /// The record holds enough, and no effect of the catalogue explains it.
-pub const NOT_IN_CATALOGUE: &str = "not_in_catalogue";
+pub(crate) const NOT_IN_CATALOGUE: &str = "not_in_catalogue";

@@ -282,7 +282,7 @@ impl Effect {
 }
 
 /// Margin of an effect that is bound to the valve signal.
-pub const MARGIN: f64 = 0.10;
+pub(crate) const MARGIN: f64 = 0.10;
 /// Margin of one that is not, or that bends further.
 pub(crate) const WIDE_MARGIN: f64 = 0.15;
 

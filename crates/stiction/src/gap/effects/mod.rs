@@ -33,7 +33,8 @@ pub(crate) mod time_skew;
 mod travel_limit;
 
 pub use clues::Clues;
-pub use effect::{Effect, MARGIN, Param, Reach, Rest, Start, Unit, Way};
+pub(crate) use effect::MARGIN;
+pub use effect::{Effect, Param, Reach, Rest, Start, Unit, Way};
 
 /// Every effect.
 pub const ALL: [&Effect; 28] = [

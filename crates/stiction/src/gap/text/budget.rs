@@ -5,6 +5,7 @@ use super::super::budget::document::{
     UPSETS, VALVE_AND_PROCESS,
 };
 use super::super::document::GapDocument;
+use super::super::sizes::percent;
 use super::effect;
 use crate::units::{duration, number};
 use serde::{Deserialize, Serialize};
@@ -30,6 +31,22 @@ pub(super) fn cannot_be_told(d: &GapDocument) -> Option<String> {
         number(told.gain_nats),
         number(TOLD[0])
     ))
+}
+
+/// Share of PV's variance below which an effect does not belong into the conclusion, %.
+const LEAST_SHARE_PCT: f64 = 1.0;
+
+/// The effects that the budget confirms, with their shares; `None` where it confirms none beside the cause.
+pub(super) fn confirmed(d: &GapDocument) -> Option<String> {
+    let parts = d.budget.iter().flat_map(|b| &b.parts);
+    let is_told = |p: &&PartNote| p.confirmed == Some(true) && p.id != d.cause.id && p.share_pct >= LEAST_SHARE_PCT;
+    let mut parts: Vec<&PartNote> = parts.filter(is_told).collect();
+    parts.sort_by(|a, b| b.share_pct.total_cmp(&a.share_pct));
+    let each: Vec<String> =
+        parts.into_iter().map(|p| format!("{}, {}", effect::noun(&p.id), percent(p.share_pct))).collect();
+    let [first, others @ ..] = each.as_slice() else { return None };
+    let others: String = others.iter().map(|other| format!("; {other}")).collect();
+    Some(format!("The budget confirms {first} of PV's variance{others}."))
 }
 
 /// A part of the budget in words.
@@ -248,6 +265,11 @@ mod tests {
         );
         d.cause.why = Some("not_in_catalogue".to_owned());
         assert!(summary(&d)[0].starts_with("Unknown: no effect of the catalogue"));
+        let mut part = d.budget.as_ref().unwrap().parts[0].clone();
+        (part.id, part.confirmed, part.share_pct) = ("outliers".to_owned(), Some(true), 37.7);
+        d.budget.as_mut().unwrap().parts.push(part);
+        let parts = " The budget confirms single wild values, 38 % of PV's variance; an external sinusoid, 5 %.";
+        assert!(summary(&d)[0].ends_with(parts), "{:?}", summary(&d));
         d.gap.relative = Some(1.25);
         assert!(summary(&d)[0].starts_with("Unknown: the base model leaves 125 % of PV's standard deviation"));
     }

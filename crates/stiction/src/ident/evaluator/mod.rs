@@ -18,7 +18,8 @@ mod walk;
 pub use held::HeldSums;
 pub use reduced::{Best, Reduced};
 pub use sums::reduce;
-pub use tables::{LATTICE_STEP, Table, View, lattice_index, lattice_tau};
+pub(crate) use tables::{LATTICE_STEP, lattice_index, lattice_tau};
+pub use tables::{Table, View};
 
 #[cfg(test)]
 mod tests;

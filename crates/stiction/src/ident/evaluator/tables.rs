@@ -3,7 +3,7 @@
 use std::sync::{Arc, OnceLock};
 
 /// Distance of two neighbouring time constants on the lattice, in logarithm.
-pub const LATTICE_STEP: f64 = 0.04;
+pub(crate) const LATTICE_STEP: f64 = 0.04;
 /// Places of the lattice: time constants from a twelfth of a point to 10 million of them.
 const PLACES: [i32; 2] = [-62, 403];
 /// Power of a decay below which it counts as nothing: what is smaller turns into denormal numbers, which are slow.
@@ -11,13 +11,13 @@ const NOTHING: f64 = 1e-150;
 
 /// Time constant of a place on the lattice, points.
 #[must_use]
-pub fn lattice_tau(index: i32) -> f64 {
+pub(crate) fn lattice_tau(index: i32) -> f64 {
     libm::exp(LATTICE_STEP * f64::from(index))
 }
 
 /// Place on the lattice nearest to a time constant (points, > 0).
 #[must_use]
-pub fn lattice_index(tau: f64) -> i32 {
+pub(crate) fn lattice_index(tau: f64) -> i32 {
     (libm::log(tau) / LATTICE_STEP).round() as i32
 }
 
