@@ -1,7 +1,7 @@
 //! From a record to the diagnosis: traces, base, effects, noise models, decision, and its consequences.
 
 use std::collections::BTreeMap;
-use std::iter;
+use std::{iter, mem};
 
 use super::break_away::{self, Replay};
 use super::decide;
@@ -13,7 +13,7 @@ use super::forward::{fitted_to_first_part, refitted};
 use super::given;
 use super::judged::Diagnosis;
 use super::loop_run;
-use super::neighbours;
+use super::neighbours::{self, Offered};
 use super::next_test::next_test;
 use super::noise;
 use super::pairs;
@@ -62,7 +62,7 @@ pub(super) fn check(record: &Record, options: &GapOptions) -> Result<(), GapErro
     Ok(())
 }
 
-/// A record's traces, what is fitted, the floor as PV shows it, and what the search found.
+/// A record's traces, what is fitted, the floor, and what the search found.
 struct Searched {
     traces: Traces,
     problem: Problem,
@@ -75,6 +75,11 @@ impl Searched {
     fn tells_nothing(&self) -> bool {
         let base = || fit(&self.problem, &self.found.base, None, &|_| {});
         !self.traces.noise_shows && base().is_none_or(|base| base.rmse > self.problem.deviation)
+    }
+
+    fn scales<'a>(&'a self, base: &'a Fit, seed: u64) -> Scales<'a> {
+        let Self { traces, problem, floor, found } = self;
+        Scales { problem, floor, base, search: &found.base, traces, seed }
     }
 }
 
@@ -98,6 +103,67 @@ fn search(
     Ok(found.map(|found| Searched { traces, problem, floor, found }))
 }
 
+/// The same, once more on all points where those that the recorder stored tell nothing.
+fn search_where_measured(
+    record: &Record,
+    options: &GapOptions,
+    work: &mut Work<'_>,
+) -> Result<Option<Searched>, GapError> {
+    let period = options.period_points.unwrap_or_else(|| period_of(record).0);
+    let traces = signatures::traces(record, period, &options.without);
+    let retry = traces.thinned.then(|| traces.all_measured());
+    let searched = search(record, options, period, traces, work)?;
+    let Some(all) = retry.filter(|_| searched.as_ref().is_none_or(Searched::tells_nothing)) else {
+        return Ok(searched);
+    };
+    // What the discarded search spent says nothing of this one.
+    work.begin(options.budget_evaluations);
+    work.spent = false;
+    search(record, options, period, all, work)
+}
+
+/// What was looked at beside base and catalogue.
+struct Looked {
+    /// The comparison with other loops, where some were offered.
+    offered: Option<Offered>,
+    /// Neighbours behind the best one, each with the problem that has its signal.
+    rivals: Vec<(Problem, Search)>,
+    /// PV before a sensor's filter.
+    filtered: Option<Filtered>,
+    /// See [`floor_owes`].
+    floor_owes: BTreeMap<String, f64>,
+}
+
+/// Compares other loops, checks the floor, and undoes a filter.
+fn look_further(
+    record: &Record,
+    options: &GapOptions,
+    searched: &mut Searched,
+    base_fit: Option<&Fit>,
+    work: &mut Work<'_>,
+) -> Looked {
+    work.begin(options.budget_evaluations);
+    let others = if options.asks(effects::neighbour::EFFECT.id) { &options.neighbours[..] } else { &[] };
+    let mut offered = neighbours::look(record, &searched.problem, &searched.found, base_fit, others, work);
+    let mut fits = offered.as_mut().map(|o| mem::take(&mut o.fits)).unwrap_or_default().into_iter();
+    // The best one counts as an effect like any other; the others are weighed alone.
+    if let Some((with, search)) = fits.next() {
+        searched.problem.neighbour = with.neighbour;
+        searched.found.searches.push(search);
+    }
+    let rivals = fits.collect();
+    let Searched { traces, problem, floor, found } = searched;
+    check_floor(problem, found, traces, floor);
+    work.begin(options.budget_evaluations);
+    let is_asked = options.asks(effects::sensor_filter::EFFECT.id);
+    let filtered = is_asked.then(|| filter::look(record, problem, found, traces, floor.noise_floor, work)).flatten();
+    let floor_owes = floor_owes(traces, floor, filtered.as_ref());
+    if let Some(filtered) = &filtered {
+        (floor.noise_sd, floor.noise_floor) = (Some(filtered.noise_sd), Some(filtered.noise_sd));
+    }
+    Looked { offered, rivals, filtered, floor_owes }
+}
+
 /// Diagnoses a record.
 ///
 /// # Errors
@@ -107,64 +173,58 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     if let Base::Given(model) = &options.base {
         given::check(model)?;
     }
-    let period = options.period_points.unwrap_or_else(|| period_of(record).0);
     let budget = options.budget_evaluations;
     let mut work = Work { executor, budget, done: 0, stopped: false, spent: false, seed: options.seed, asked: None };
-    let traces = signatures::traces(record, period, &options.without);
-    let retry = traces.thinned.then(|| traces.all_measured());
-    let mut searched = search(record, options, period, traces, &mut work)?;
-    if let Some(all) = retry.filter(|_| searched.as_ref().is_none_or(Searched::tells_nothing)) {
-        // What the discarded search spent says nothing of this one.
-        work.begin(budget);
-        work.spent = false;
-        searched = search(record, options, period, all, &mut work)?;
-    }
+    let searched = search_where_measured(record, options, &mut work)?;
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
-    let Some(Searched { traces, problem, mut floor, mut found }) = searched else { return Err(no_base) };
-    let mut problem = problem;
-    let base_fit = fit_to_all(&problem, &found.base, &mut work);
-    work.begin(budget);
-    let is_asked = |id: &str| !options.without.iter().any(|w| w == id);
-    let others = if is_asked(effects::neighbour::EFFECT.id) { &options.neighbours[..] } else { &[] };
-    let offered = neighbours::look(record, &problem, &found, base_fit.as_ref(), others, &mut work);
-    let mut rivals = Vec::new();
-    for (with, search) in offered.as_ref().map(|o| o.fits.clone()).unwrap_or_default() {
-        // The best one now counts as an effect like any other; the others are weighed alone.
-        if problem.neighbour.is_none() {
-            problem.neighbour = with.neighbour;
-            found.searches.push(search);
-        } else {
-            rivals.push((with, search));
-        }
+    let Some(mut searched) = searched else { return Err(no_base) };
+    let base_fit = fit_to_all(&searched.problem, &searched.found.base, &mut work);
+    let looked = look_further(record, options, &mut searched, base_fit.as_ref(), &mut work);
+    let base = fit(&searched.problem, &searched.found.base, searched.floor.noise_floor, &|_| {}).ok_or(no_base)?;
+    let mut made = weigh_all(record, options, &searched, looked, base, &mut work)?;
+    made.fits_to_all.extend(base_fit);
+    made.settle(&[]);
+    try_pairs(options, &mut searched, &mut made, &mut work);
+    let replay = try_random_friction(record, options, &searched, &mut made, &mut work);
+    run_forward(record, &searched, &mut made, &mut work);
+    fit_cause(&searched, replay, &mut made, &mut work);
+    made.confirm();
+    made.next_test = next_test(&searched.problem, &searched.found, &made);
+    made.evaluations = work.done;
+    made.stopped_early = work.stopped || work.spent;
+    if work.stopped {
+        made.ended = Ended::Stopped;
     }
-    check_floor(&problem, &found, &traces, &mut floor);
-    work.begin(budget);
-    let filtered = if is_asked(effects::sensor_filter::EFFECT.id) {
-        filter::look(record, &problem, &found, &traces, floor.noise_floor, &mut work)
-    } else {
-        None
-    };
-    let owes = floor_owes(&traces, &floor, filtered.as_ref());
-    if let Some(filtered) = &filtered {
-        (floor.noise_sd, floor.noise_floor) = (Some(filtered.noise_sd), Some(filtered.noise_sd));
-    }
-    let base = fit(&problem, &found.base, floor.noise_floor, &|_| {}).ok_or(no_base)?;
+    Ok(made)
+}
+
+/// Weighs everything that was found against the base. The answer is still that to nothing but the base.
+fn weigh_all(
+    record: &Record,
+    options: &GapOptions,
+    searched: &Searched,
+    looked: Looked,
+    base: Fit,
+    work: &mut Work<'_>,
+) -> Result<Diagnosis, GapError> {
+    let Searched { traces, problem, floor, found } = searched;
     let given = match &options.base {
-        Base::Given(model) => Some(given::simulate(&problem, model, floor.noise_floor)?),
+        Base::Given(model) => Some(given::simulate(problem, model, floor.noise_floor)?),
         _ => None,
     };
-    work.begin(budget);
+    work.begin(options.budget_evaluations);
     let against = (base.rmse_train, floor.noise_floor);
-    let seen = stages::look(record, &problem, &traces, against, &options.without, &mut work);
-    let weighed = scales(&problem, &found, &base, &traces, &floor, options.seed);
-    let mut effects = weigh(&weighed, &found, filtered.as_ref(), options);
-    effects.extend(rivals.iter().filter_map(|(with, search)| Scales { problem: with, ..weighed }.weigh(search)));
-    effects.sort_by(|a, b| b.lead.total_cmp(&a.lead));
-    let acts = offered.as_ref().and_then(|o| o.compared.acts.as_deref()).map(effects::neighbour::id_of);
-    let mut basis = basis(record, &problem, &found, &base, &traces, &effects, &seen, &floor, owes, options);
-    basis.acts = acts;
+    let seen = stages::look(record, problem, traces, against, &options.without, work);
+    let scales = searched.scales(&base, options.seed);
+    let Looked { offered, rivals, filtered, floor_owes } = looked;
+    let mut effects = weigh(&scales, found, filtered.as_ref(), options);
+    effects.extend(rivals.iter().filter_map(|(with, search)| Scales { problem: with, ..scales }.weigh(search)));
+    sort_by_lead(&mut effects);
+    let (compared, loads) = offered.map(|o| (o.compared, o.loads)).unzip();
+    let mut basis = basis(record, searched, &base, &effects, seen.as_ref(), floor_owes, options);
+    basis.acts = compared.as_ref().and_then(|c| c.acts.as_deref()).map(effects::neighbour::id_of);
     let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
-    let mut made = Diagnosis {
+    Ok(Diagnosis {
         relative_gap: base.gap / problem.deviation,
         predictions: Predictions {
             pv_base: Vec::new(),
@@ -173,7 +233,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
             masked: problem.blocks.masked.clone(),
         },
         model_after: base.model.clone(),
-        fits_to_all: base_fit.into_iter().collect(),
+        fits_to_all: Vec::new(),
         base,
         given,
         effects,
@@ -185,52 +245,71 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         from_sp: None,
         pairs: Vec::new(),
         evaluations: 0,
-        budget_evaluations: budget,
+        budget_evaluations: options.budget_evaluations,
         ended: found.ended,
         stopped_early: false,
-        floor,
+        floor: *floor,
         blocks: problem.blocks.clone(),
         signatures: traces.signatures.clone(),
         noise_models: basis.noise,
         stages: seen.map(|s| s.stages),
         next_test: None,
-        loads: offered.as_ref().map(|o| o.loads.clone()).unwrap_or_default(),
-        neighbours: offered.map(|o| o.compared),
+        loads: loads.unwrap_or_default(),
+        neighbours: compared,
         basis,
-    };
+    })
+}
+
+/// Tries two effects at once where one leaves more than noise, or where that is asked for.
+fn try_pairs(options: &GapOptions, searched: &mut Searched, made: &mut Diagnosis, work: &mut Work<'_>) {
+    if !options.pairs && !made.leaves_more() {
+        return;
+    }
+    work.begin(options.budget_evaluations);
+    let (weighed, searches) =
+        pairs::run(&searched.problem, &searched.found, &searched.scales(&made.base, options.seed), work);
+    made.pairs = weighed;
     made.settle(&[]);
-    if options.pairs || made.leaves_more() {
-        work.begin(budget);
-        let scales = scales(&problem, &found, &made.base, &traces, &made.floor, options.seed);
-        let (weighed, searches) = pairs::run(&problem, &found, &scales, &mut work);
-        made.pairs = weighed;
-        made.settle(&[]);
-        found.searches.extend(searches);
-    }
+    searched.found.searches.extend(searches);
+}
+
+/// Replays OP with a band of its own for each slip, where nothing else is named.
+fn try_random_friction(
+    record: &Record,
+    options: &GapOptions,
+    searched: &Searched,
+    made: &mut Diagnosis,
+    work: &mut Work<'_>,
+) -> Option<Replay> {
     let random = &effects::random_friction::EFFECT;
-    let replay = is_asked(random.id).then(|| replay(record, &problem, &made, &mut work)).flatten();
-    if let Some(replay) = &replay {
-        let scales = scales(&problem, &found, &made.base, &traces, &made.floor, options.seed);
-        let result = scales.replayed(random, replay);
-        made.effects.push(result);
-        made.effects.sort_by(|a, b| b.lead.total_cmp(&a.lead));
-        made.basis.random_bands = true;
-        made.settle(&[]);
+    let (base, floor) = (made.fits_to_all.first()?, made.floor.noise_floor?);
+    if !options.asks(random.id) || made.cause.id != UNKNOWN || made.base.at_floor || work.stopped {
+        return None;
     }
-    run_forward(record, &problem, &found, &mut made, &mut work);
-    let is_cause = |search: &&Search| !made.fits_to_all.is_empty() && search.structure.id_in(&problem) == made.cause.id;
+    let problem = &searched.problem;
+    let found = work.all(break_away::SEARCHES, |which| break_away::search(record, base, problem.blocks.from, which));
+    let replay = break_away::judge(record, problem, base, floor, found.into_iter().flatten())?;
+    let result = searched.scales(&made.base, options.seed).replayed(random, &replay);
+    made.effects.push(result);
+    sort_by_lead(&mut made.effects);
+    made.basis.random_bands = true;
+    made.settle(&[]);
+    Some(replay)
+}
+
+/// Fits the base with the cause to all of the record.
+fn fit_cause(searched: &Searched, replay: Option<Replay>, made: &mut Diagnosis, work: &mut Work<'_>) {
+    let Searched { problem, found, .. } = searched;
+    let is_cause = |search: &&Search| !made.fits_to_all.is_empty() && search.structure.id_in(problem) == made.cause.id;
     let cause = found.searches.iter().find(is_cause);
-    let fit_of_cause = cause.and_then(|search| fit_to_all(&problem, search, &mut work));
-    made.fits_to_all
-        .extend(fit_of_cause.or_else(|| replay.filter(|_| made.cause.id == random.id).map(|replay| replay.fit)));
-    made.confirm();
-    made.next_test = next_test(&problem, &found, &made);
-    made.evaluations = work.done;
-    made.stopped_early = work.stopped || work.spent;
-    if work.stopped {
-        made.ended = Ended::Stopped;
-    }
-    Ok(made)
+    let fitted = cause.and_then(|search| fit_to_all(problem, search, work));
+    let is_replayed = made.cause.id == effects::random_friction::EFFECT.id;
+    let replayed = replay.filter(|_| is_replayed).map(|replay| replay.fit);
+    made.fits_to_all.extend(fitted.or(replayed));
+}
+
+fn sort_by_lead(effects: &mut [EffectResult]) {
+    effects.sort_by(|a, b| b.lead.total_cmp(&a.lead));
 }
 
 /// The best of a search, fitted to all of the record; `None` where that was stopped, or no place is found.
@@ -241,27 +320,6 @@ fn fit_to_all(problem: &Problem, search: &Search, work: &mut Work<'_>) -> Option
     }
     let nothing = vec![false; problem.n()];
     refitted(problem, &nothing, &[search], None, work)?.pop()
-}
-
-/// A replay of OP with random bands, where the search names nothing.
-fn replay(record: &Record, problem: &Problem, made: &Diagnosis, work: &mut Work<'_>) -> Option<Replay> {
-    let (base, floor) = (made.fits_to_all.first()?, made.floor.noise_floor?);
-    if made.cause.id != UNKNOWN || made.base.at_floor || work.stopped {
-        return None;
-    }
-    let found = work.all(break_away::SEARCHES, |which| break_away::search(record, base, problem.blocks.from, which));
-    break_away::judge(record, problem, base, floor, found.into_iter().flatten())
-}
-
-fn scales<'a>(
-    problem: &'a Problem,
-    found: &'a Found,
-    base: &'a Fit,
-    traces: &'a Traces,
-    floor: &'a Floor,
-    seed: u64,
-) -> Scales<'a> {
-    Scales { problem, floor, base, search: &found.base, traces, seed }
 }
 
 /// The best residual's high band beside the floor that was read from PV alone; where a recorder thinned PV, the floor is
@@ -303,8 +361,7 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
     let left = residual_of(problem, &found.base);
     let one_step =
         left.and_then(|r| noise::autoregression(&r, &problem.train)).map(|a| a.mse.sqrt() * problem.deviation);
-    let asked = |e: &&effects::Effect| !options.without.iter().any(|w| w == e.id);
-    for effect in effects::ALL.into_iter().filter(asked) {
+    for effect in effects::ALL.into_iter().filter(|e| options.asks(e.id)) {
         let floor_after = match effect.way {
             Way::Noise => one_step,
             _ if effect.id == effects::quantisation::EFFECT.id => floor.noise_floor,
@@ -316,24 +373,20 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
             _ => out.push(scales.recorded(effect, floor_after)),
         }
     }
-    out.sort_by(|a, b| b.lead.total_cmp(&a.lead));
     out
 }
 
 /// What the decision is made from beside the fits.
-#[allow(clippy::too_many_arguments)] // everything that was found
 fn basis(
     record: &Record,
-    problem: &Problem,
-    found: &Found,
+    searched: &Searched,
     base: &Fit,
-    traces: &Traces,
     weighed: &[EffectResult],
-    seen: &Option<stages::Seen>,
-    floor: &Floor,
+    seen: Option<&stages::Seen>,
     floor_owes: BTreeMap<String, f64>,
     options: &GapOptions,
 ) -> Basis {
+    let Searched { traces, problem, floor, found } = searched;
     let nothing = || vec![0.0; problem.n()];
     let mut of_base = vec![residual_of(problem, &found.base).unwrap_or_else(nothing)];
     let places = found.base.best.iter().skip(1).chain(&found.by_moves);
@@ -353,9 +406,8 @@ fn basis(
         let [low, high] = USUAL_LAGS;
         *l < low || *l > high
     });
-    let left_out = |id: &str| options.without.iter().any(|w| w == id);
     Basis {
-        traces: strongest.iter().filter(|s| !left_out(s.id)).map(|s| s.id.to_owned()).collect(),
+        traces: strongest.iter().filter(|s| options.asks(s.id)).map(|s| s.id.to_owned()).collect(),
         traces_close: weighed
             .iter()
             .filter(|e| !e.simulated)
@@ -365,12 +417,12 @@ fn basis(
         floor_owes,
         acts: None,
         random_bands: false,
-        skew: skew.filter(|_| !left_out(effects::time_skew::EFFECT.id)),
+        skew: skew.filter(|_| options.asks(effects::time_skew::EFFECT.id)),
         noise: noise::judge(problem, &of_base[0], &of_best, &slipped, options.seed),
         alone: noise::alone(problem, &of_base, &of_best, &slipped, options.seed),
-        coloured_noise: !left_out(effects::coloured_noise::EFFECT.id),
-        by_mv: seen.as_ref().map(|s| s.stages.stage).filter(|_| !base.at_floor),
-        on_mv: seen.as_ref().map(|s| s.ranked.clone()).unwrap_or_default(),
+        coloured_noise: options.asks(effects::coloured_noise::EFFECT.id),
+        by_mv: seen.map(|s| s.stages.stage).filter(|_| !base.at_floor),
+        on_mv: seen.map(|s| s.ranked.clone()).unwrap_or_default(),
         base_at_floor: base.at_floor,
         base: Left::of(base, floor.noise_floor),
         excited: excited(record, problem),
@@ -385,7 +437,8 @@ fn excited(record: &Record, problem: &Problem) -> bool {
 }
 
 /// Base and cause fitted to the first part alone: the run over the rest from OP, and from SP.
-fn run_forward(record: &Record, problem: &Problem, found: &Found, made: &mut Diagnosis, work: &mut Work<'_>) {
+fn run_forward(record: &Record, searched: &Searched, made: &mut Diagnosis, work: &mut Work<'_>) {
+    let Searched { problem, found, .. } = searched;
     let cause = found.searches.iter().find(|l| l.structure.id_in(problem) == made.cause.id);
     if work.stopped || cause.is_none() && !loop_run::sp_moves(record) {
         return;

@@ -44,6 +44,13 @@ pub struct GapOptions {
     pub neighbours: Vec<Neighbour>,
 }
 
+impl GapOptions {
+    /// Whether an effect is in the catalogue that is asked.
+    pub(super) fn asks(&self, id: &str) -> bool {
+        !self.without.iter().any(|left_out| left_out == id)
+    }
+}
+
 impl Default for GapOptions {
     fn default() -> Self {
         Self {

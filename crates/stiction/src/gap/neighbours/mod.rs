@@ -9,4 +9,4 @@ mod look;
 mod scan;
 
 pub use look::compare;
-pub(super) use look::look;
+pub(super) use look::{Offered, look};
