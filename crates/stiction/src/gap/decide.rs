@@ -82,26 +82,36 @@ pub struct Decision {
 pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) -> Decision {
     let evidence = &evidence.of_those_who_lack(without);
     let basis = &evidence.basis;
-    let has = |id: &str| !effects::parts(id).any(|part| without.contains(&effects::kind(part)));
     let ranked = ranked(evidence, without);
     let features = Features::of(basis, &ranked);
     let outcomes = calibration.outcomes(&features);
-    let best = ranked.first().map(|b| b.id.clone());
-    let answer = |id: &str, probability: f64, by: By| {
-        let stage = match id {
-            NONE => Stage::None,
-            _ => {
-                let weighed = evidence.contenders.iter().find(|c| c.id == id).map(|c| c.stage);
-                weighed.or_else(|| effects::by_id(id).map(|e| e.stage)).unwrap_or(Stage::CannotTell)
-            }
-        };
-        let confirmed = by != By::Choice || id == NONE;
-        let cause = Cause { id: id.to_owned(), probability, confirmed, stage };
-        let second = second(basis, &ranked, &cause, calibration);
-        let mut alternatives = alternatives(&ranked, &cause, &outcomes, calibration);
-        alternatives.retain(|a| second.as_ref().is_none_or(|s| s.id != a.id));
-        Decision { cause, second, alternatives, by, best: best.clone(), features, outcomes }
+    let (id, probability, by) = choose(evidence, &ranked, &outcomes, without, calibration);
+    let stage = match id {
+        NONE => Stage::None,
+        _ => {
+            let weighed = evidence.contenders.iter().find(|c| c.id == id).map(|c| c.stage);
+            weighed.or_else(|| effects::by_id(id).map(|e| e.stage)).unwrap_or(Stage::CannotTell)
+        }
     };
+    let confirmed = by != By::Choice || id == NONE;
+    let cause = Cause { id: id.to_owned(), probability, confirmed, stage };
+    let second = second(basis, &ranked, &cause, calibration);
+    let mut alternatives = alternatives(&ranked, &cause, &outcomes, calibration);
+    alternatives.retain(|a| second.as_ref().is_none_or(|s| s.id != a.id));
+    let best = ranked.first().map(|b| b.id.clone());
+    Decision { cause, second, alternatives, by, best, features, outcomes }
+}
+
+/// What is named, its probability, and how it is come by: the first rule that applies.
+fn choose<'e>(
+    evidence: &'e Evidence,
+    ranked: &[&'e Contender],
+    outcomes: &Outcomes,
+    without: &[&str],
+    calibration: &Calibration,
+) -> (&'e str, f64, By) {
+    let basis = &evidence.basis;
+    let has = |id: &str| !effects::parts(id).any(|part| without.contains(&effects::kind(part)));
     let noise = effects::coloured_noise::EFFECT.id;
     let coloured = basis.coloured_noise && has(noise) && is_plain(basis);
     let unnamed = if coloured { noise } else { UNKNOWN };
@@ -114,28 +124,28 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     // Single wild samples are the whole story only where the rest is explained.
     let explained = |t: &str| t != effects::outliers::EFFECT.id || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
     if let Some(trace) = basis.traces.iter().find(|t| has(t) && explained(t) && !gives_way(t)) {
-        return answer(trace, calibration.trace, By::Trace);
+        return (trace, calibration.trace, By::Trace);
     }
     // A controller that reads a filtered PV seems to lag, too.
     let filter = effects::sensor_filter::EFFECT.id;
     if basis.filter && has(filter) && filter_explains(evidence, filter, ranked.first()) {
-        return answer(filter, calibration.trace, By::Trace);
+        return (filter, calibration.trace, By::Trace);
     }
     let skew = effects::time_skew::EFFECT.id;
     if basis.skew.is_some() && has(skew) {
-        return answer(skew, calibration.trace, By::Trace);
+        return (skew, calibration.trace, By::Trace);
     }
     // A load that the noise model has in both halves is named whatever the free run makes of it: a disturbance that wanders
     // hides it there.
     let acts = basis.acts.as_ref().filter(|id| has(id) && basis.by_mv != Some(Stage::Valve) && !basis.base_at_floor);
     if let Some(load) = acts {
-        return answer(load, calibration.neighbour, By::Choice);
+        return (load, calibration.neighbour, By::Choice);
     }
     // A measured load stands for itself where it leads and closes the gap where it was not fitted: the calibrated choice was
     // fitted to loops without neighbours.
     let measured = ranked.first().filter(|best| is_measured_load(basis, best));
     if let Some(load) = measured {
-        return answer(&load.id, calibration.neighbour, By::Choice);
+        return (&load.id, calibration.neighbour, By::Choice);
     }
     if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
         // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
@@ -145,7 +155,7 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
         let ranks = basis.by_mv == Some(Stage::Process) && first.evidence > effects::MARGIN;
         if ranks && !basis.base_at_floor && !refuted {
             let id = if explains(first) { &first.id } else { unnamed };
-            return answer(id, calibration.by_mv, By::Mv);
+            return (id, calibration.by_mv, By::Mv);
         }
     }
     // Of samples that would have been left out of the fits, nothing is known.
@@ -154,15 +164,13 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     let random = effects::random_friction::EFFECT.id;
     match ranked.first() {
         Some(best) if best.lead > 0.0 && outcomes.right >= calibration.name_from && !hidden => {
-            answer(&best.id, outcomes.right, By::Choice)
+            (&best.id, outcomes.right, By::Choice)
         }
-        _ if outcomes.none >= outcomes.other && !hidden => answer(NONE, outcomes.none, By::Choice),
-        _ if breaks_at_random(basis) && has(random) && !hidden => {
-            answer(random, calibration.random_friction, By::Choice)
-        }
+        _ if outcomes.none >= outcomes.other && !hidden => (NONE, outcomes.none, By::Choice),
+        _ if breaks_at_random(basis) && has(random) && !hidden => (random, calibration.random_friction, By::Choice),
         _ => {
             let share = if coloured { calibration.coloured_noise } else { calibration.unknown };
-            answer(unnamed, outcomes.other * share, By::Choice)
+            (unnamed, outcomes.other * share, By::Choice)
         }
     }
 }

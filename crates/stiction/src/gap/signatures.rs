@@ -1,7 +1,7 @@
 //! Traces that a transmitter or recorder leaves in PV itself: steps of a grid, held values, straight lines, cut ends,
 //! single wild samples, a stretch that stands still.
 
-use super::effects;
+use super::effects::{self, Effect};
 use super::noise::quantum;
 use super::traces::{Traces, knots};
 use super::types::{Parameter, Signature};
@@ -31,107 +31,131 @@ const FEWEST_STORED: usize = 12;
 #[must_use]
 pub(crate) fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     let pv = &record.pv;
-    let n = pv.len() as f64;
-    let sd = stats::std_dev(pv);
-    let noise = stats::noise_sd(pv);
-    let grid = quantum(pv);
-    let ends = [pv.iter().copied().fold(f64::INFINITY, f64::min), pv.iter().copied().fold(f64::NEG_INFINITY, f64::max)];
-    let repeats = if record.box_samples == 1 {
-        stats::repeat_share(pv)
-    } else {
-        f64::from(record.facts.pv_repeats) / record.raw_samples.max(1) as f64
-    };
-    let still = longest_still(pv);
-    let length = (still[1] - still[0]) as f64;
-    let elsewhere = (repeats * n - length).max(0.0) / n;
-    let at_ends = pv.windows(2).filter(|w| w[0] == w[1] && ends.contains(&w[0])).count() as f64 / n;
-    // A signal that is cut off repeats its end.
-    let held = if grid.is_none() { (repeats - at_ends).max(0.0) } else { 0.0 };
-    let straight = straight_share(pv, sd);
-    let at_end = |end: f64| pv.iter().filter(|v| **v == end).count() as f64 / n;
-    let cut = if at_end(ends[0]) > at_end(ends[1]) { (ends[0], at_end(ends[0])) } else { (ends[1], at_end(ends[1])) };
-    let wild = wild_samples(pv, noise);
-    let wild_share = wild.iter().filter(|w| **w).count() as f64 / n * 1000.0;
-    let coarse = grid.map_or(0.0, |q| (q / white_part(pv, q)).max(AGAINST_SD * q / sd));
-    // Few levels put many samples at the ends as well.
-    let is_grid = coarse > COARSE;
-    let still_from = 10.0_f64.max(0.12 * period) + if is_grid { 0.5 * period } else { 0.0 };
-    let stands = length >= still_from && elsewhere < 0.05;
-    let at_its_end = ends.contains(&pv[still[0]]);
-    let frozen = stands && !at_its_end;
-    let least_cut = if stands && at_its_end { 0.0 } else { CUT };
-    let number = |name: &'static str, value: f64, unit: &'static str| vec![Parameter { name, value, unit }];
-    let signature = |id, value: f64, threshold: f64, also: bool, parameters| Signature {
-        id,
-        value,
-        threshold,
-        met: value > threshold && also,
-        parameters,
-    };
-    // A recorder holds the farthest value once; an end of the range is met again and again.
-    let visits = pv.windows(2).filter(|w| w[0] != w[1] && w[1] == cut.0).count();
-    let is_cut = !is_grid && !frozen && (held <= RECORDED || visits > 1);
-    let signatures = vec![
-        signature(effects::quantisation::EFFECT.id, coarse, COARSE, true, number("quantum", grid.unwrap_or(0.0), "PV")),
-        signature(effects::hold_compression::EFFECT.id, held, RECORDED, !frozen, number("held", held, "1")),
-        signature(
-            effects::swinging_door::EFFECT.id,
-            straight,
-            RECORDED,
-            grid.is_none(),
-            number("straight", straight, "1"),
-        ),
-        signature(effects::clipping::EFFECT.id, cut.1, least_cut, is_cut, number("end", cut.0, "PV")),
-        signature(effects::outliers::EFFECT.id, wild_share, WILD_SHARE, true, number("per_thousand", wild_share, "1")),
-        signature(
-            effects::frozen_sensor::EFFECT.id,
-            length,
-            still_from,
-            frozen,
-            number("still", length * record.point_s(), "s"),
-        ),
-    ];
-    let met = |id: &str| signatures.iter().any(|s| s.id == id && s.met) && !without.iter().any(|w| w == id);
-    let mut masked = vec![false; pv.len()];
-    if met(effects::outliers::EFFECT.id) {
-        masked.clone_from(&wild);
-    }
-    if met(effects::frozen_sensor::EFFECT.id) {
-        masked[still[0] + 1..=still[1]].fill(true);
-    }
-    if masked.iter().filter(|m| **m).count() as f64 > MOST_MASKED * n {
-        masked.fill(false);
-    }
-    let at_the_end = met(effects::clipping::EFFECT.id).then_some(cut.0);
-    let stands_still = met(effects::frozen_sensor::EFFECT.id).then_some(still);
+    let seen = Seen::in_record(record, period);
+    let met = |effect: &Effect| seen.meets(effect.id) && !without.iter().any(|id| id == effect.id);
+    let (holds, draws) = (met(&effects::hold_compression::EFFECT), met(&effects::swinging_door::EFFECT));
+    let stands = met(&effects::frozen_sensor::EFFECT).then_some(seen.still);
+    let cut = met(&effects::clipping::EFFECT).then_some(seen.cut_at);
     // The mean over a box of samples does not tell which of them were stored.
-    let raw = record.box_samples == 1;
-    let holds = raw && met(effects::hold_compression::EFFECT.id);
-    let draws = raw && met(effects::swinging_door::EFFECT.id);
-    let knots = if draws { knots(pv) } else { Vec::new() };
-    let is_measured = |k: usize| {
-        let stored = !(holds && k > 0 && pv[k] == pv[k - 1]) && (!draws || knots[k]);
-        let moves = stands_still.is_none_or(|[from, to]| k <= from || k > to);
-        stored && moves && at_the_end != Some(pv[k])
-    };
-    let mut measured: Vec<bool> = (0..pv.len()).map(is_measured).collect();
+    let is_raw = record.box_samples == 1;
+    let mut measured = measured(pv, [holds && is_raw, draws && is_raw], stands, cut);
     let count = measured.iter().filter(|m| **m).count();
-    let thinned = (holds || draws) && count >= FEWEST_STORED;
+    let thinned = (holds || draws) && is_raw && count >= FEWEST_STORED;
     if !thinned && count < FEWEST_MEASURED {
         measured.fill(true);
     }
-    let compressed = met(effects::hold_compression::EFFECT.id) || met(effects::swinging_door::EFFECT.id);
     Traces {
         measured,
-        masked,
+        masked: masked(pv.len(), met(&effects::outliers::EFFECT).then_some(seen.wild.as_slice()), stands),
         thinned,
         noise_shows: count >= FEWEST_MEASURED,
-        beyond_reach: compressed && !thinned,
-        still,
-        ends,
+        beyond_reach: (holds || draws) && !thinned,
+        still: seen.still,
+        ends: seen.ends,
         pv: pv.clone(),
-        signatures,
+        signatures: seen.signatures,
     }
+}
+
+/// What PV shows, whatever is asked.
+struct Seen {
+    signatures: Vec<Signature>,
+    /// First and last point of the longest stretch that stands still.
+    still: [usize; 2],
+    /// Least and greatest value.
+    ends: [f64; 2],
+    /// The end of PV's range at which more samples lie.
+    cut_at: f64,
+    /// Wild samples.
+    wild: Vec<bool>,
+}
+
+impl Seen {
+    fn in_record(record: &Record, period: f64) -> Self {
+        let pv = &record.pv;
+        let (n, sd) = (pv.len() as f64, stats::std_dev(pv));
+        let grid = quantum(pv);
+        let ends =
+            [pv.iter().copied().fold(f64::INFINITY, f64::min), pv.iter().copied().fold(f64::NEG_INFINITY, f64::max)];
+        let repeats = repeat_share(record);
+        let still = longest_still(pv);
+        let length = (still[1] - still[0]) as f64;
+        let elsewhere = (repeats * n - length).max(0.0) / n;
+        let at_ends = pv.windows(2).filter(|w| w[0] == w[1] && ends.contains(&w[0])).count() as f64 / n;
+        // A signal that is cut off repeats its end.
+        let held = if grid.is_none() { (repeats - at_ends).max(0.0) } else { 0.0 };
+        let straight = straight_share(pv, sd);
+        let share_at = |end: f64| pv.iter().filter(|v| **v == end).count() as f64 / n;
+        let cut_at = if share_at(ends[0]) > share_at(ends[1]) { ends[0] } else { ends[1] };
+        let wild = wild_samples(pv, stats::noise_sd(pv));
+        let wild_share = wild.iter().filter(|w| **w).count() as f64 / n * 1000.0;
+        let coarse = grid.map_or(0.0, |q| (q / white_part(pv, q)).max(AGAINST_SD * q / sd));
+        // Few levels put many samples at the ends as well.
+        let is_grid = coarse > COARSE;
+        let still_from = 10.0_f64.max(0.12 * period) + if is_grid { 0.5 * period } else { 0.0 };
+        let stands = length >= still_from && elsewhere < 0.05;
+        let is_at_end = ends.contains(&pv[still[0]]);
+        let frozen = stands && !is_at_end;
+        let least_cut = if stands && is_at_end { 0.0 } else { CUT };
+        // A recorder holds the farthest value once; an end of the range is met again and again.
+        let visits = pv.windows(2).filter(|w| w[0] != w[1] && w[1] == cut_at).count();
+        let is_cut = !is_grid && !frozen && (held <= RECORDED || visits > 1);
+        let signature = |effect: &Effect, [value, threshold]: [f64; 2], also: bool, (name, size, unit)| Signature {
+            id: effect.id,
+            value,
+            threshold,
+            met: value > threshold && also,
+            parameters: vec![Parameter { name, value: size, unit }],
+        };
+        let stood_s = length * record.point_s();
+        let has_no_grid = grid.is_none();
+        let grid = grid.unwrap_or(0.0);
+        let signatures = vec![
+            signature(&effects::quantisation::EFFECT, [coarse, COARSE], true, ("quantum", grid, "PV")),
+            signature(&effects::hold_compression::EFFECT, [held, RECORDED], !frozen, ("held", held, "1")),
+            signature(&effects::swinging_door::EFFECT, [straight, RECORDED], has_no_grid, ("straight", straight, "1")),
+            signature(&effects::clipping::EFFECT, [share_at(cut_at), least_cut], is_cut, ("end", cut_at, "PV")),
+            signature(&effects::outliers::EFFECT, [wild_share, WILD_SHARE], true, ("per_thousand", wild_share, "1")),
+            signature(&effects::frozen_sensor::EFFECT, [length, still_from], frozen, ("still", stood_s, "s")),
+        ];
+        Self { signatures, still, ends, cut_at, wild }
+    }
+
+    fn meets(&self, id: &str) -> bool {
+        self.signatures.iter().any(|s| s.id == id && s.met)
+    }
+}
+
+/// Share of samples that repeat the one before.
+fn repeat_share(record: &Record) -> f64 {
+    if record.box_samples == 1 {
+        stats::repeat_share(&record.pv)
+    } else {
+        f64::from(record.facts.pv_repeats) / record.raw_samples.max(1) as f64
+    }
+}
+
+/// Points that count for nothing: wild samples, and a stretch that stands still; none where that would be too many.
+fn masked(points: usize, wild: Option<&[bool]>, stands: Option<[usize; 2]>) -> Vec<bool> {
+    let mut masked = wild.map_or_else(|| vec![false; points], <[bool]>::to_vec);
+    if let Some([from, to]) = stands {
+        masked[from + 1..=to].fill(true);
+    }
+    if masked.iter().filter(|m| **m).count() as f64 > MOST_MASKED * points as f64 {
+        masked.fill(false);
+    }
+    masked
+}
+
+/// Points that were measured: neither held nor drawn by a recorder, nor of a stretch that stands still, nor cut off.
+fn measured(pv: &[f64], [holds, draws]: [bool; 2], stands: Option<[usize; 2]>, cut: Option<f64>) -> Vec<bool> {
+    let knots = if draws { knots(pv) } else { Vec::new() };
+    let is_measured = |k: usize| {
+        let stored = !(holds && k > 0 && pv[k] == pv[k - 1]) && (!draws || knots[k]);
+        let moves = stands.is_none_or(|[from, to]| k <= from || k > to);
+        stored && moves && cut != Some(pv[k])
+    };
+    (0..pv.len()).map(is_measured).collect()
 }
 
 /// Spread of what lies between the lines of a grid: at least what the grid itself adds.
