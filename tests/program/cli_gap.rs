@@ -275,6 +275,34 @@ fn an_interrupted_search_tells_what_it_knows() {
 }
 
 #[test]
+fn a_base_that_is_worse_than_the_mean_of_pv_is_said_and_decides_no_other_window() {
+    // PV wanders by itself.
+    let (mut drawn, mut pv) = (1_u64, 100.0);
+    let mut lines = String::from("time,op,pv\n");
+    for k in 0..900 {
+        drawn = (drawn * 1_103_515_245 + 12_345) % (1 << 31);
+        pv += drawn as f64 / f64::from(1_u32 << 31) - 0.5;
+        let op = 50.0 + 4.0 * (std::f64::consts::TAU * f64::from(k) / 60.0).sin();
+        lines += &format!("{k},{op:.4},{pv:.4}\n");
+    }
+    let input = path("wanders.csv");
+    fs::write(&input, lines).unwrap();
+    let out = expect(0, &["gap", &input, "--time-format", "s"]);
+    assert!(stdout(&out).contains("more than PV's mean does. Choose a section"), "{}", stdout(&out));
+    let out = expect(0, &["gap", &input, "--time-format", "s", "--format", "json"]);
+    let d: Value = serde_json::from_str(&stdout(&out)).unwrap();
+    assert_eq!(
+        (&d["cause"]["id"], &d["cause"]["why"]),
+        (&"unknown".into(), &"cannot_be_told".into()),
+        "{}",
+        d["cause"]
+    );
+    let sections = ["--samples", "1,900", "--samples", "1,890", "--pool"];
+    let refused = expect(1, &[&["gap", &input, "--time-format", "s"], &sections[..]].concat());
+    assert!(stderr(&refused).contains("this window can decide nothing; leave it out"), "{}", stderr(&refused));
+}
+
+#[test]
 fn windows_of_one_valve_are_diagnosed_together_and_what_does_not_fit_is_refused_by_its_file() {
     let input = table("windows.csv", &[20.0], 900);
     let sections = ["--samples", "1,450", "--samples", "451,900"];

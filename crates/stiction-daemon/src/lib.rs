@@ -128,7 +128,11 @@ pub async fn run(
         (server.stop)();
         return Ok(());
     };
-    let Opened { mut restored, session, deaf, daemon_id, input, subscriptions, refilled } = opened;
+    let Opened { mut restored, session, deaf, daemon_id, input, subscriptions } = opened;
+    let Some(refilled) = start::refill(&config, &shared, options.origin, &mut stop).await else {
+        (server.stop)();
+        return Ok(());
+    };
     let Refilled { engine, continued } = refilled;
     let memories = mem::take(&mut restored.memories);
     let run = run_info(&config, config_text, options.origin, &daemon_id, restored.run_number);
@@ -212,7 +216,7 @@ pub async fn run(
 
 /// What others on the bus see of the daemon, and what it sees of them.
 struct Presence {
-    /// Where it listens by now.
+    /// The endpoints on which it listens; none where they could not be opened.
     listening: Vec<String>,
     foreign: [Subscriber<()>; 2],
     watching: JoinHandle<()>,

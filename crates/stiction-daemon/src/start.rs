@@ -1,4 +1,4 @@
-//! The start of a run: what is read, opened and started before the engine runs.
+//! The first part of a run's start: reads what earlier runs left, opens the session, starts the threads that take results.
 
 use std::collections::HashSet;
 use std::convert::Infallible;
@@ -100,7 +100,6 @@ pub(super) struct Opened {
     pub daemon_id: String,
     pub input: (Budget, Shares),
     pub subscriptions: Subscriptions,
-    pub refilled: Refilled,
 }
 
 /// Reads what earlier runs left, opens the session and subscribes; `None` where the daemon is stopped before.
@@ -112,9 +111,7 @@ pub(super) async fn open(
     stop: &mut (impl Future<Output = ()> + Unpin),
 ) -> anyhow::Result<Option<Opened>> {
     let Shared { faults, metrics, snapshot, recordings, .. } = shared;
-    // A demonstration starts afresh.
-    let goes_on = origin == "run";
-    let mut restored = if goes_on {
+    let mut restored = if goes_on(origin) {
         let reading = restore_in_background(config, faults, metrics);
         let Some(read) = unless_stopped(reading, ask_for_patience(faults, snapshot), stop).await else {
             return Ok(None);
@@ -140,19 +137,29 @@ pub(super) async fn open(
     let input = (Budget::new(config.input.queue_bytes), Shares::default());
     let intake = Intake::new(queue, input.clone(), metrics.clone(), Clock::system());
     let subscriptions = Subscriptions::open(&session, config, intake).await?;
-    let refilled = if goes_on {
-        let reading = refill_in_background(config, faults);
-        let Some(read) = unless_stopped(reading, ask_for_patience(faults, snapshot), stop).await else {
-            return Ok(None);
-        };
-        read
-    } else {
-        Refilled::empty(config)
-    };
-    Ok(Some(Opened { restored, session, deaf, daemon_id, input, subscriptions, refilled }))
+    Ok(Some(Opened { restored, session, deaf, daemon_id, input, subscriptions }))
 }
 
-/// What `work` gives, beside what is said `meanwhile`; `None` where the daemon is stopped before.
+/// The loops' windows as earlier runs left them; `None` if the daemon is stopped first.
+pub(super) async fn refill(
+    config: &Config,
+    shared: &Shared,
+    origin: &str,
+    stop: &mut (impl Future<Output = ()> + Unpin),
+) -> Option<Refilled> {
+    if !goes_on(origin) {
+        return Some(Refilled::empty(config));
+    }
+    let reading = refill_in_background(config, &shared.faults);
+    unless_stopped(reading, ask_for_patience(&shared.faults, &shared.snapshot), stop).await
+}
+
+/// Whether a run goes on from what earlier ones left. A demonstration starts afresh.
+fn goes_on(origin: &str) -> bool {
+    origin == "run"
+}
+
+/// Waits for `work` and runs `meanwhile` beside it; `None` if the daemon is stopped first.
 async fn unless_stopped<T>(
     work: impl Future<Output = T>,
     meanwhile: impl Future<Output = Infallible>,
@@ -165,7 +172,7 @@ async fn unless_stopped<T>(
     }
 }
 
-/// The near ends of the threads to which the engine gives its results.
+/// Handles of the threads that take the engine's results.
 pub(super) struct Sinks {
     pub recorder: Recorder,
     /// None in a demonstration.
@@ -186,7 +193,7 @@ pub(super) fn threads(
     signer: Option<Arc<Signer>>,
 ) -> anyhow::Result<(Vec<NamedThread>, Sinks)> {
     let Shared { current, recordings, metrics, faults, overview, last, .. } = shared;
-    let (run_id, daemon_id, is_kept) = (run.run_id.clone(), run.daemon.clone(), run.origin == "run");
+    let (run_id, daemon_id, is_kept) = (run.run_id.clone(), run.daemon.clone(), goes_on(run.origin));
     let told = (metrics.clone(), faults.clone());
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), signer, told)?;
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;

@@ -133,6 +133,9 @@ pub struct DiagnosedWindow {
 /// A window that does not fit the others, with its name.
 pub fn decide_together(windows: &[DiagnosedWindow], settings: &GapSettings) -> Result<(usize, Diagnosed), PoolError> {
     check_distinct(windows)?;
+    if let Some(window) = windows.iter().find(|w| w.alone.diagnosis.is_worse_than_mean()) {
+        return Err(PoolError::NotJudged(window.source.clone()));
+    }
     let each: Vec<pool::Window> =
         windows.iter().map(|w| pool::Window::of(&w.source, &w.alone.record, &w.alone.diagnosis)).collect();
     let together = pool::decide_together(&each)?;

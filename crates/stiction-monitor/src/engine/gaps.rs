@@ -283,18 +283,20 @@ impl GapRequest {
         };
         let alone = gap::diagnose(&self.record, &options, executor)?;
         let source = format!("window to {}", format_rfc3339(self.record.end_ns));
-        let own = pool::Window::of(&source, &self.record, &alone);
-        let windows: Vec<pool::Window> = self.earlier.iter().chain([&own]).cloned().collect();
-        let together = (windows.len() > 1).then(|| pool::decide_together(&windows)).transpose()?;
+        // From a base that is worse than PV's mean nothing can be judged, in other windows either.
+        let own = (!alone.is_worse_than_mean()).then(|| pool::Window::of(&source, &self.record, &alone));
+        let windows: Vec<pool::Window> = self.earlier.iter().chain(&own).cloned().collect();
+        let is_pooled = own.is_some() && windows.len() > 1;
+        let together = is_pooled.then(|| pool::decide_together(&windows)).transpose()?;
         let diagnosis = together.map_or_else(|| alone.clone(), |together| alone.with_answer_of(&together));
         let location = locate(&self.record, &Subject::of(&diagnosis, period_points, options.seed));
         let mut document = GapDocument::new(&self.loop_name, &self.record, &options.base, &diagnosis, location);
-        if !self.earlier.is_empty() {
+        if is_pooled {
             document.pooled = pool::notes(&windows, self.earlier.len());
         }
         Ok(PublishedGap {
             document,
-            own: Box::new(own),
+            own: own.map(Box::new),
             reason: self.reason,
             by: self.by.clone(),
             config_hash: self.config_hash.to_string(),
@@ -309,9 +311,9 @@ pub struct PublishedGap {
     /// The diagnosis.
     #[serde(flatten)]
     pub document: GapDocument,
-    /// What the window by itself adds to a later decision.
+    /// What the window by itself adds to a later decision; none where its base is worse than PV's mean.
     #[serde(skip)]
-    pub own: Box<pool::Window>,
+    pub own: Option<Box<pool::Window>>,
     /// Why it was made.
     pub reason: GapReason,
     /// Who asked, where a person did.

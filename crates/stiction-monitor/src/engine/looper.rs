@@ -293,7 +293,9 @@ impl Loop {
         while self.gaps_waiting.front().is_some_and(|w| w.answer.is_some()) {
             let document = self.gaps_waiting.pop_front().and_then(|w| w.answer).flatten();
             if let Some(document) = document {
-                self.remember_diagnosis((*document.own).clone());
+                if let Some(own) = &document.own {
+                    self.remember_diagnosis((**own).clone());
+                }
                 out.push(Event::Gap(id, Box::new(document)));
             }
         }

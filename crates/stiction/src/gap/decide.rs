@@ -32,7 +32,7 @@ const FAINT: f64 = 1.5;
 const TAILS: f64 = 0.7;
 /// Per cent of the gap from which an effect makes much of it, and below which next to nothing.
 const HALF: f64 = 50.0;
-const LITTLE: f64 = 10.0;
+pub(super) const LITTLE: f64 = 10.0;
 /// Per cent of the gap that a neighbour closes at least where it is named.
 const MEASURED: f64 = 30.0;
 /// Per cent of the gap that two effects have to close.
@@ -102,7 +102,7 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     Decision { cause, second, alternatives, by, best, features, outcomes }
 }
 
-/// What is named, its probability, and how it is come by: the first rule that applies.
+/// Applies the rules in order: the first that fits gives what is named, its probability and its kind.
 fn choose<'e>(
     evidence: &'e Evidence,
     ranked: &[&'e Contender],

@@ -27,7 +27,7 @@ use super::traces::Traces;
 use super::types::{
     Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, GapOptions, Predictions, UNKNOWN,
 };
-use super::weigh::Scales;
+use super::weigh::{Scales, sort_by_lead};
 use crate::ident::controller;
 use crate::record::Record;
 use crate::signal::stats;
@@ -103,7 +103,7 @@ fn search(
     Ok(found.map(|found| Searched { traces, problem, floor, found }))
 }
 
-/// The same, once more on all points where those that the recorder stored tell nothing.
+/// Searches on the points that were measured; on all points where a recorder stored too few of them to tell anything.
 fn search_where_measured(
     record: &Record,
     options: &GapOptions,
@@ -122,7 +122,7 @@ fn search_where_measured(
     search(record, options, period, all, work)
 }
 
-/// What was looked at beside base and catalogue.
+/// What was found beside the searches of the catalogue.
 struct Looked {
     /// The comparison with other loops, where some were offered.
     offered: Option<Offered>,
@@ -198,7 +198,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     Ok(made)
 }
 
-/// Weighs everything that was found against the base. The answer is still that to nothing but the base.
+/// Weighs everything that was found against the base. The answer is a placeholder until it is settled.
 fn weigh_all(
     record: &Record,
     options: &GapOptions,
@@ -297,7 +297,7 @@ fn try_random_friction(
     Some(replay)
 }
 
-/// Fits the base with the cause to all of the record.
+/// Fits the base with the cause to all of the record, or takes the replay's fit.
 fn fit_cause(searched: &Searched, replay: Option<Replay>, made: &mut Diagnosis, work: &mut Work<'_>) {
     let Searched { problem, found, .. } = searched;
     let is_cause = |search: &&Search| !made.fits_to_all.is_empty() && search.structure.id_in(problem) == made.cause.id;
@@ -306,10 +306,6 @@ fn fit_cause(searched: &Searched, replay: Option<Replay>, made: &mut Diagnosis, 
     let is_replayed = made.cause.id == effects::random_friction::EFFECT.id;
     let replayed = replay.filter(|_| is_replayed).map(|replay| replay.fit);
     made.fits_to_all.extend(fitted.or(replayed));
-}
-
-fn sort_by_lead(effects: &mut [EffectResult]) {
-    effects.sort_by(|a, b| b.lead.total_cmp(&a.lead));
 }
 
 /// The best of a search, fitted to all of the record; `None` where that was stopped, or no place is found.

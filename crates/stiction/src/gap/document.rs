@@ -6,15 +6,16 @@ use serde::{Deserialize, Serialize};
 
 use super::budget::document::{BudgetNote, CANNOT_BE_TOLD, NOT_IN_CATALOGUE, TOLD, TellableNote};
 use super::budget::{self, Budget};
+use super::decide::LITTLE;
 use super::effects;
 use super::judged::Diagnosis;
 use super::locate::Location;
 use super::loop_run::Cycles;
 use super::model::Model;
 use super::pool::WindowNote;
-use super::sizes::Quantity;
+use super::sizes::{Quantity, share_left};
 use super::structure::BASE;
-use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp, Parameter, Stage, UNKNOWN};
+use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp, NONE, Parameter, Stage, UNKNOWN};
 use super::typical::{self, Known, TypicalNote};
 use crate::record::Record;
 use crate::signal::stats;
@@ -130,24 +131,28 @@ pub struct CauseNote {
     pub id: String,
     /// Probability that the answer is right.
     pub probability: f64,
-    /// Whether it also closes the gap on held-out data and in forward prediction; false means "suspected".
+    /// Whether it also closes the gap on held-out data and in forward prediction; false means "suspected", as always where the
+    /// base leaves more of held-out PV than PV's mean does.
     pub confirmed: bool,
-    /// Why it is `unknown`: `not_in_catalogue`, or `cannot_be_told` where the record holds too little. That is also said of an
-    /// effect of the plant that is only suspected, and beside a trace that closes next to nothing.
+    /// Why it is `unknown`: `not_in_catalogue`, or `cannot_be_told` where the record holds too little or the base leaves more of
+    /// PV than PV's mean does. That is also said of a suspected effect of the plant and of a cause that closes next to nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
 }
 
 impl CauseNote {
-    /// What keeps the answer from being sure, where the record tells it; `leads` is false of a cause that closes next to nothing.
-    pub(super) fn why_by(&self, told: &TellableNote, leads: bool) -> Option<&'static str> {
+    /// What keeps the answer from being sure, where the record tells it. `leads` is false for a cause that closes next to nothing,
+    /// `is_judged` where the base is worse than PV's mean.
+    pub(super) fn why_by(&self, told: &TellableNote, leads: bool, is_judged: bool) -> Option<&'static str> {
         let hardly = told.gain_nats < TOLD[0];
         // PV alone shows what a sensor or a recorder did to it.
         let acts_in_plant =
             || effects::parts(&self.id).all(|id| effects::by_id(id).is_some_and(|e| e.stage != Stage::Measurement));
         match self.id.as_str() {
-            UNKNOWN if !hardly => Some(NOT_IN_CATALOGUE),
+            NONE => None,
+            UNKNOWN if is_judged && !hardly => Some(NOT_IN_CATALOGUE),
             UNKNOWN => Some(CANNOT_BE_TOLD),
+            _ if !is_judged => Some(CANNOT_BE_TOLD),
             _ => (hardly && (!leads || !self.confirmed && acts_in_plant())).then_some(CANNOT_BE_TOLD),
         }
     }
@@ -295,9 +300,6 @@ pub struct GapDocument {
     pub version: String,
 }
 
-/// Per cent closed below which an effect is a side note.
-pub(super) const HARDLY_PCT: f64 = 10.0;
-
 /// 100 (1 - after / before); `None` if there was no gap.
 #[must_use]
 pub fn closed_pct(before: f64, after: f64) -> Option<f64> {
@@ -318,14 +320,21 @@ impl GapDocument {
         Self { budget, ..document.telling(tellable) }
     }
 
+    /// Whether the base, with the named cause where there is one, follows held-out PV worse than PV's mean does.
+    pub(super) fn is_worse_than_mean(&self) -> bool {
+        let (given, closed) = (self.given.map(|given| given.gap), self.named().and_then(|e| e.closed_pct));
+        self.gap.relative.is_some_and(|relative| share_left(relative, self.gap.gap, given, closed) > 1.0)
+    }
+
     /// The named effect, unless it closes next to nothing: then it is a side note.
     pub(super) fn leading(&self) -> Option<&EffectNote> {
-        self.named().filter(|e| e.closed_pct.is_none_or(|closed| closed >= HARDLY_PCT))
+        self.named().filter(|e| e.closed_pct.is_none_or(|closed| closed >= LITTLE))
     }
 
     fn telling(self, tellable: Option<TellableNote>) -> Self {
         let leads = self.named().is_none() || self.leading().is_some();
-        let why = tellable.as_ref().and_then(|told| self.cause.why_by(told, leads)).map(str::to_owned);
+        let is_judged = !self.is_worse_than_mean();
+        let why = tellable.as_ref().and_then(|told| self.cause.why_by(told, leads, is_judged)).map(str::to_owned);
         Self { cause: CauseNote { why, ..self.cause }, tellable, ..self }
     }
 

@@ -6,6 +6,7 @@ use super::evidence::{Basis, Evidence};
 use super::model::Model;
 use super::neighbour::Load;
 use super::probability::{Calibration, Features};
+use super::sizes::share_left;
 use super::types::{
     Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, FromSp, NONE, NextTest,
     NoiseModels, Predictions, Signature, Stages, UNKNOWN,
@@ -97,12 +98,12 @@ impl Diagnosis {
         self.next_test = None;
     }
 
-    /// Whether the base, with the named cause where there is one, follows held-out PV worse than PV's mean does.
-    fn is_worse_than_mean(&self) -> bool {
-        let closed = self.named().and_then(|e| e.closed_pct).unwrap_or(0.0);
-        // A given model may be better than the refitted one on the held-out blocks.
-        let better = self.given.as_ref().map_or(1.0, |given| (given.gap / self.base.gap).min(1.0));
-        self.relative_gap * better.min(1.0 - 0.01 * closed.max(0.0)) > 1.0
+    /// Whether the base, with the named cause where there is one, follows held-out PV worse than PV's mean does: nothing can be
+    /// judged from it.
+    #[must_use]
+    pub fn is_worse_than_mean(&self) -> bool {
+        let (given, closed) = (self.given.as_ref().map(|given| given.gap), self.named().and_then(|e| e.closed_pct));
+        share_left(self.relative_gap, self.base.gap, given, closed) > 1.0
     }
 
     /// The result of the named cause, single or pair.
@@ -152,7 +153,7 @@ impl Diagnosis {
     /// Whether held-out blocks and the run forward bear the cause out.
     pub(super) fn confirm(&mut self) {
         if self.cause.id == NONE || self.cause.id == UNKNOWN {
-            self.cause.confirmed = self.cause.id == NONE && self.base.at_floor;
+            self.cause.confirmed = self.cause.id == NONE && self.base.at_floor && !self.is_worse_than_mean();
             return;
         }
         let forward = self.forward.map(|f| [f.gap_before, f.gap_after]);

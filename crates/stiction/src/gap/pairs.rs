@@ -6,7 +6,7 @@ use super::schedule::{Found, Work, search_again, share};
 use super::search::{NARROW, Search, exchange, form_of};
 use super::structure::Structure;
 use super::types::EffectResult;
-use super::weigh::Scales;
+use super::weigh::{Scales, sort_by_lead};
 
 /// Single effects that are paired, and rounds that each pair gets.
 const SINGLES: usize = 6;
@@ -48,7 +48,7 @@ pub(crate) fn run(
         search_again(problem, &mut searches, scales.floor.noise_floor, AGAIN_FROM, work);
     }
     let mut out: Vec<EffectResult> = searches.iter().filter_map(|search| scales.weigh(search)).collect();
-    out.sort_by(|a, b| b.lead.total_cmp(&a.lead));
+    sort_by_lead(&mut out);
     (out, searches)
 }
 

@@ -57,7 +57,7 @@ pub(crate) fn traces(record: &Record, period: f64, without: &[String]) -> Traces
     }
 }
 
-/// What PV shows, whatever is asked.
+/// What PV shows; no option changes it.
 struct Seen {
     signatures: Vec<Signature>,
     /// First and last point of the longest stretch that stands still.
@@ -66,7 +66,7 @@ struct Seen {
     ends: [f64; 2],
     /// The end of PV's range at which more samples lie.
     cut_at: f64,
-    /// Wild samples.
+    /// Whether each sample is wild.
     wild: Vec<bool>,
 }
 

@@ -40,6 +40,13 @@ impl Sizes<'_> {
     }
 }
 
+/// Share of PV's deviation that base and named effect leave on held-out data; above 1 PV's mean leaves less.
+pub(super) fn share_left(relative_gap: f64, base_gap: f64, given_gap: Option<f64>, closed_pct: Option<f64>) -> f64 {
+    // A given model may be better than the refitted one on the held-out blocks.
+    let given = given_gap.map_or(1.0, |given| (given / base_gap).min(1.0));
+    relative_gap * given.min(1.0 - 0.01 * closed_pct.unwrap_or(0.0).max(0.0))
+}
+
 /// A share in figures.
 pub(super) fn percent(value: f64) -> String {
     format!("{value:.0} %")

@@ -92,10 +92,10 @@ pub fn summary(d: &GapDocument) -> [String; 3] {
 }
 
 fn conclusion(d: &GapDocument) -> String {
-    let answer = of_cause(d);
-    match budget::confirmed(d).filter(|_| answer.starts_with("Unknown")) {
-        Some(parts) => format!("{answer} {parts}"),
-        None => answer,
+    let no_confirmed_lead = d.cause.id != NONE && (!d.cause.confirmed || d.leading().is_none());
+    match budget::confirmed(d).filter(|_| no_confirmed_lead) {
+        Some(parts) => format!("{} {parts}", of_cause(d)),
+        None => of_cause(d),
     }
 }
 
@@ -106,10 +106,12 @@ fn of_cause(d: &GapDocument) -> String {
     }
     let Some(e) = d.leading() else {
         return match d.named() {
-            Some(e) => format!(
-                "Unknown: {} shows in the record, but closes less than a tenth of the gap.",
-                effect::noun(&e.id)
-            ),
+            Some(e) => worse_than_mean(d).unwrap_or_else(|| {
+                format!(
+                    "Unknown: {} shows in the record, but closes less than a tenth of the gap.",
+                    effect::noun(&e.id)
+                )
+            }),
             None if effects::kind(&d.cause.id) == effects::neighbour::EFFECT.id => {
                 format!("Outside the valve: {}.", without_fit(d))
             }
@@ -132,7 +134,7 @@ fn of_cause(d: &GapDocument) -> String {
 
 /// The conclusion where nothing can be judged from the base.
 fn worse_than_mean(d: &GapDocument) -> Option<String> {
-    let left = d.gap.relative.filter(|left| *left > 1.0)?;
+    let left = d.gap.relative.filter(|_| d.is_worse_than_mean())?;
     Some(format!(
         "Unknown: the base model leaves {} of PV's standard deviation on held-out data, more than PV's mean does. Choose a section \
          without trips, trends and data gaps in which OP moves PV, or check that OP and PV are not swapped.",

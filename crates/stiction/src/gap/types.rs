@@ -45,7 +45,7 @@ pub struct GapOptions {
 }
 
 impl GapOptions {
-    /// Whether an effect is in the catalogue that is asked.
+    /// Whether the diagnosis tries this effect.
     pub(super) fn asks(&self, id: &str) -> bool {
         !self.without.iter().any(|left_out| left_out == id)
     }
@@ -156,6 +156,11 @@ pub enum PoolError {
         /// The earlier.
         other: String,
     },
+    /// A window from which nothing can be judged.
+    #[error(
+        "{0}: the base model leaves more of held-out PV than PV's mean does, so this window can decide nothing; leave it out"
+    )]
+    NotJudged(String),
 }
 
 /// Why no diagnosis was possible.

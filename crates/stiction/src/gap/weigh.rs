@@ -23,6 +23,11 @@ const NOTHING_LEFT: f64 = 1.05;
 /// Fewest fitted points a parameter: with less an effect may meet them all and say nothing.
 const POINTS_A_PARAMETER: usize = 2;
 
+/// The effect that leads most comes first.
+pub(crate) fn sort_by_lead(effects: &mut [EffectResult]) {
+    effects.sort_by(|a, b| b.lead.total_cmp(&a.lead));
+}
+
 /// What the weighing needs beside the searches.
 #[derive(Debug, Clone, Copy)]
 pub struct Scales<'a> {

@@ -19,7 +19,11 @@ fn too_little(d: &GapDocument) -> Option<&TellableNote> {
 /// The clause that says why the cause is unknown or only suspected.
 pub(super) fn why_unsure(d: &GapDocument) -> Option<String> {
     let nats = number(too_little(d)?.gain_nats);
-    Some(format!("this record cannot tell: beyond PV's own past, OP predicts only {nats} nats of PV"))
+    Some(if d.is_worse_than_mean() {
+        "no effect can be judged from a base that leaves more of PV than PV's mean does".to_owned()
+    } else {
+        format!("this record cannot tell: beyond PV's own past, OP predicts only {nats} nats of PV")
+    })
 }
 
 /// The conclusion where the record cannot tell the cause.
@@ -33,17 +37,19 @@ pub(super) fn cannot_be_told(d: &GapDocument) -> Option<String> {
     ))
 }
 
-/// Share of PV's variance below which an effect does not belong into the conclusion, %.
+/// Effects below this share of PV's variance, %, are left out of the conclusion.
 const LEAST_SHARE_PCT: f64 = 1.0;
 
 /// The effects that the budget confirms, with their shares; `None` where it confirms none beside the cause.
 pub(super) fn confirmed(d: &GapDocument) -> Option<String> {
     let parts = d.budget.iter().flat_map(|b| &b.parts);
-    let is_told = |p: &&PartNote| p.confirmed == Some(true) && p.id != d.cause.id && p.share_pct >= LEAST_SHARE_PCT;
+    let is_told = |p: &&PartNote| {
+        p.confirmed == Some(true) && !(d.cause.confirmed && p.id == d.cause.id) && p.share_pct >= LEAST_SHARE_PCT
+    };
+    let noun = |id: &str| if id == UPSETS { "steps and pulses".to_owned() } else { effect::noun(id) };
     let mut parts: Vec<&PartNote> = parts.filter(is_told).collect();
     parts.sort_by(|a, b| b.share_pct.total_cmp(&a.share_pct));
-    let each: Vec<String> =
-        parts.into_iter().map(|p| format!("{}, {}", effect::noun(&p.id), percent(p.share_pct))).collect();
+    let each: Vec<String> = parts.into_iter().map(|p| format!("{}, {}", noun(&p.id), percent(p.share_pct))).collect();
     let [first, others @ ..] = each.as_slice() else { return None };
     let others: String = others.iter().map(|other| format!("; {other}")).collect();
     Some(format!("The budget confirms {first} of PV's variance{others}."))
@@ -53,7 +59,7 @@ pub(super) fn confirmed(d: &GapDocument) -> Option<String> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PartText {
-    /// Share of PV's variance, to a tenth of a %.
+    /// Share of PV's variance, %, rounded to 0.1.
     pub share_pct: f64,
     /// Its standard deviation, PV units.
     pub sd: f64,
@@ -280,7 +286,7 @@ mod tests {
         let mut why = |id: &str, confirmed: bool, gain_nats: f64| {
             told.gain_nats = gain_nats;
             let cause = CauseNote { id: id.to_owned(), probability: 0.8, confirmed, why: None };
-            cause.why_by(&told, true)
+            cause.why_by(&told, true, true)
         };
         assert_eq!(why("sinusoid", false, 12.0), Some(CANNOT_BE_TOLD));
         assert_eq!(why("backlash+sinusoid", false, 12.0), Some(CANNOT_BE_TOLD));
@@ -293,6 +299,9 @@ mod tests {
         );
         told.gain_nats = 12.0;
         let cause = CauseNote { id: "swinging_door".to_owned(), probability: 0.9, confirmed: true, why: None };
-        assert_eq!([true, false].map(|leads| cause.why_by(&told, leads)), [None, Some(CANNOT_BE_TOLD)]);
+        assert_eq!([true, false].map(|leads| cause.why_by(&told, leads, true)), [None, Some(CANNOT_BE_TOLD)]);
+        told.gain_nats = 200.0;
+        let unknown = CauseNote { id: "unknown".to_owned(), ..cause };
+        assert_eq!(unknown.why_by(&told, true, false), Some(CANNOT_BE_TOLD));
     }
 }

@@ -1,6 +1,7 @@
 //! How strongly an answer is put into words: one rule for all sentences, from the numbers beside them.
 
-use super::super::document::{EffectNote, GapDocument, HARDLY_PCT};
+use super::super::decide::LITTLE;
+use super::super::document::{EffectNote, GapDocument};
 use super::super::effects;
 use super::super::sizes::percent;
 use crate::units::probability;
@@ -41,10 +42,10 @@ impl Claim {
         // What leaves a trace in PV, or acts in both halves, is there, however little it closes; what was fitted is only there
         // if it closes.
         let acts = d.neighbours.as_ref().and_then(|n| n.acts.as_deref()).map(effects::neighbour::id_of);
-        if closed < HARDLY_PCT && (e.at_floor.is_none() || acts.as_ref() == Some(&e.id)) {
+        if closed < LITTLE && (e.at_floor.is_none() || acts.as_ref() == Some(&e.id)) {
             return Self::Hardly;
         }
-        if !d.cause.confirmed || closed < HARDLY_PCT {
+        if !d.cause.confirmed || closed < LITTLE {
             return Self::Suspected;
         }
         match e.closed_interval {
