@@ -102,7 +102,7 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     Decision { cause, second, alternatives, by, best, features, outcomes }
 }
 
-/// Applies the rules in order: the first that fits gives what is named, its probability and its kind.
+/// What the first rule that applies names, with its probability and the kind of that rule.
 fn choose<'e>(
     evidence: &'e Evidence,
     ranked: &[&'e Contender],
@@ -111,7 +111,7 @@ fn choose<'e>(
     calibration: &Calibration,
 ) -> (&'e str, f64, By) {
     let basis = &evidence.basis;
-    let has = |id: &str| !effects::parts(id).any(|part| without.contains(&effects::kind(part)));
+    let has = |id: &str| !is_left_out(id, without);
     let noise = effects::coloured_noise::EFFECT.id;
     let coloured = basis.coloured_noise && has(noise) && is_plain(basis);
     let unnamed = if coloured { noise } else { UNKNOWN };
@@ -175,10 +175,14 @@ fn choose<'e>(
     }
 }
 
+/// Whether the catalogue lacks an effect, or one of a pair.
+fn is_left_out(id: &str, without: &[&str]) -> bool {
+    effects::parts(id).any(|part| without.contains(&effects::kind(part)))
+}
+
 /// The effects that may be named, best first; a pair of them among these where it says what none says alone.
 fn ranked<'e>(evidence: &'e Evidence, without: &[&str]) -> Vec<&'e Contender> {
-    let has = |id: &str| !effects::parts(id).any(|part| without.contains(&effects::kind(part)));
-    let may = evidence.contenders.iter().filter(|e| has(&e.id) && allowed(&evidence.basis, e));
+    let may = evidence.contenders.iter().filter(|e| !is_left_out(&e.id, without) && allowed(&evidence.basis, e));
     let (pairs, mut ranked): (Vec<&Contender>, Vec<&Contender>) = may.partition(|e| is_pair(&e.id));
     let by_lead = |a: &&Contender, b: &&Contender| a.lead.total_cmp(&b.lead);
     let pair = pairs.into_iter().filter(|pair| says_more(pair, &ranked)).max_by(by_lead);

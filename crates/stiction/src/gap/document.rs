@@ -142,7 +142,7 @@ pub struct CauseNote {
 
 impl CauseNote {
     /// What keeps the answer from being sure, where the record tells it. `leads` is false for a cause that closes next to nothing,
-    /// `is_judged` where the base is worse than PV's mean.
+    /// `is_judged` is false where the base is worse than PV's mean.
     pub(super) fn why_by(&self, told: &TellableNote, leads: bool, is_judged: bool) -> Option<&'static str> {
         let hardly = told.gain_nats < TOLD[0];
         // PV alone shows what a sensor or a recorder did to it.

@@ -152,8 +152,9 @@ impl Diagnosis {
 
     /// Whether held-out blocks and the run forward bear the cause out.
     pub(super) fn confirm(&mut self) {
+        let is_judged = !self.is_worse_than_mean();
         if self.cause.id == NONE || self.cause.id == UNKNOWN {
-            self.cause.confirmed = self.cause.id == NONE && self.base.at_floor && !self.is_worse_than_mean();
+            self.cause.confirmed = self.cause.id == NONE && self.base.at_floor && is_judged;
             return;
         }
         let forward = self.forward.map(|f| [f.gap_before, f.gap_after]);
@@ -163,7 +164,7 @@ impl Diagnosis {
         let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
         let acts = self.basis.acts.as_ref() == Some(&self.cause.id);
         let shows = trace || own || acts || self.cause.id == effects::time_skew::EFFECT.id;
-        self.cause.confirmed = shows && !self.is_worse_than_mean();
+        self.cause.confirmed = shows && is_judged;
     }
 }
 
