@@ -165,9 +165,7 @@ fn tables_list_what_there_is() {
     assert_eq!(column("docs/verdicts.md", "gate"), gates);
     let effects = names(stiction::gap::effects::ALL.iter().map(|e| e.id).collect());
     assert_eq!(column("docs/gap.md", "effect"), effects);
-    // Those that are made of the fit stand among the others.
-    let mut indicators = names(stiction::detect::ALL.iter().map(|d| d.name()).collect());
-    indicators.extend(["likelihood", "confirmed", "moves"].map(str::to_owned));
+    let indicators = names(stiction::verdict::features::names().collect());
     assert_eq!(sorted(column("docs/method.md", "indicator")), sorted(indicators));
 }
 

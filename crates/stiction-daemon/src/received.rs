@@ -7,13 +7,11 @@
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use stiction::detect::{self, Indicator};
+use stiction::detect::Indicator;
 use stiction::units::Moment;
-use stiction::verdict::{Assessment, ESTIMATE_SCHEMA, EstimateDocument, Oscillation, Window, reasons};
+use stiction::verdict::{Assessment, ESTIMATE_SCHEMA, EstimateDocument, Oscillation, Window, features, reasons};
 use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument, Figures, Marks};
 
-/// Indicators that are made of the fit, beside the detectors.
-const OF_THE_FIT: [&str; 3] = ["likelihood", "confirmed", "moves"];
 /// NE 107 categories of an alarm.
 const NE107: [&str; 5] = ["ok", "M", "C", "S", "F"];
 /// A word that this version does not know.
@@ -55,9 +53,13 @@ fn window(document: &Value) -> Option<Window> {
 }
 
 fn indicator(of: &Value) -> Option<Indicator> {
-    let known = detect::ALL.into_iter().map(|d| d.name()).chain(OF_THE_FIT);
     let contribution = read(of, "contribution").unwrap_or(0.0);
-    Some(Indicator { name: word(of, "name", known)?, score: read(of, "score"), vote: read(of, "vote"), contribution })
+    Some(Indicator {
+        name: word(of, "name", features::names())?,
+        score: read(of, "score"),
+        vote: read(of, "vote"),
+        contribution,
+    })
 }
 
 /// An estimate (`stictiond.estimate.v1`); none where it is no such document, or names no loop or window.

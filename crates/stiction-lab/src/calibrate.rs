@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use stiction::verdict::rule::{Cuts, Features, Logistic, Made, Rule, Weight, logistic};
+use stiction::verdict::features::{Features, Figures};
+use stiction::verdict::rule::{Cuts, Logistic, Made, Rule, Weight, logistic};
 use stiction::verdict::tally::Scored;
 
 /// One case with a known truth, as it is kept between fits.
@@ -26,7 +27,7 @@ pub struct Example {
     /// The blocking gate that leaves it without an answer.
     pub gate: Option<String>,
     /// The figures of every window that it is judged in, see [`stiction::verdict::figures`].
-    pub windows: Vec<Features>,
+    pub windows: Vec<Figures>,
 }
 
 /// How a rule is fitted.
@@ -84,12 +85,7 @@ fn rows(examples: &[Example], given: &[f64]) -> Vec<Row> {
     let of = |(e, w): (&Example, &f64)| {
         let (truth, simulated) = (f64::from(u8::from(e.truth)), e.valve.is_none());
         let weight = w / e.windows.len().max(1) as f64;
-        let row = move |f: &Features| Row {
-            features: stiction::verdict::rule::features(f.clone()),
-            truth,
-            weight,
-            simulated,
-        };
+        let row = move |f: &Figures| Row { features: f.features(), truth, weight, simulated };
         e.windows.iter().map(row).collect::<Vec<_>>()
     };
     used.flat_map(of).collect()
@@ -122,7 +118,7 @@ fn fit_one(rows: &[Row], names: &[String], ridge: f64) -> Option<Logistic> {
     let k = names.len();
     let (mut means, mut scales) = (Vec::with_capacity(k), Vec::with_capacity(k));
     for name in names {
-        let known = || rows.iter().filter_map(|r| Some((*r.features.get(name)?, r.weight)));
+        let known = || rows.iter().filter_map(|r| Some((r.features.get(name)?, r.weight)));
         let total: f64 = known().map(|(_, w)| w).sum();
         let mean = if total > 0.0 { known().map(|(x, w)| x * w).sum::<f64>() / total } else { 0.0 };
         let squares: f64 = known().map(|(x, w)| w * (x - mean) * (x - mean)).sum();
@@ -212,7 +208,7 @@ pub fn ask(rule: &Rule, example: &Example, weight: f64) -> Scored {
     let Some((window, opinion)) = rule.answer(&example.windows) else {
         return Scored { truth: example.truth, answer: None, p: None, weight };
     };
-    let fitted = example.windows[window].contains_key("stiction_index");
+    let fitted = example.windows[window].fit.is_some();
     let answer = (fitted || !opinion.sticks()).then_some(opinion.sticks());
     Scored { truth: example.truth, answer, p: Some(opinion.p()), weight }
 }
@@ -239,6 +235,8 @@ pub fn leave_one_valve_out<'e>(examples: &'e [Example], settings: &Settings) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use stiction::detect::{ALL, Detector};
+    use stiction::verdict::features::FitFigures;
     use stiction::verdict::tally::{Tally, miscalibration, reliability_equal};
 
     fn settings(features: &[&str]) -> Settings {
@@ -261,11 +259,13 @@ mod tests {
         (0..n)
             .map(|k| {
                 let (travel, horch) = (draw(), draw());
-                let mut figures = Features::from([("travel".to_owned(), travel), ("horch".to_owned(), horch)]);
-                figures.insert("stiction_index".to_owned(), 0.0);
-                if k % 10 == 3 {
-                    figures.remove("horch");
-                }
+                let score = |d: &dyn Detector| match d.name() {
+                    "travel" => Some(travel),
+                    "horch" if k % 10 != 3 => Some(horch),
+                    _ => None,
+                };
+                let figures =
+                    Figures { fit: None, setpoint_share: 0.0, interpolated: false, detectors: ALL.map(score) };
                 Example {
                     name: format!("loop {k}"),
                     source: "drawn".to_owned(),

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde_json::json;
 
+use stiction::verdict::features::Figures;
 use stiction::verdict::figures;
 use stiction::verdict::rule::{Cuts, Logistic, Rule};
 use stiction::verdict::tally::{self, Scored, Tally};
@@ -306,8 +307,7 @@ fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)
 }
 
 fn said(rule: &Rule, example: &Example) -> String {
-    let figures = example.windows.first().cloned().unwrap_or_default();
-    let features = stiction::verdict::rule::features(figures);
+    let features = example.windows.first().map(Figures::features).unwrap_or_default();
     let one = |name: &str| features.get(name).map_or(format!("{name} -"), |x| format!("{name} {x:.2}"));
     rule.names().map(one).collect::<Vec<_>>().join(", ")
 }

@@ -1,7 +1,8 @@
 //! Detection limit: the smallest band that a window would have shown.
 
-use super::rule::{self, Features, Rule};
-use crate::detect::{self, Detector, View};
+use super::features::{Figures, FitFigures};
+use super::rule::Rule;
+use crate::detect::View;
 use crate::ident::hypothetical::Hypothetical;
 use crate::ident::{Estimate, Options};
 use crate::record::Record;
@@ -60,7 +61,6 @@ struct Window<'a> {
     view: &'a View,
     estimate: &'a Estimate,
     hypothetical: Hypothetical<'a>,
-    detectors: Vec<&'static dyn Detector>,
     interpolated: bool,
 }
 
@@ -73,10 +73,7 @@ impl<'a> Window<'a> {
         interpolated: bool,
     ) -> Option<Self> {
         let hypothetical = Hypothetical::new(record, options, estimate)?;
-        // What has no weight need not be asked.
-        let counts = |d: &&dyn Detector| Rule::shipped().names().any(|name| name == d.name());
-        let detectors = detect::ALL.into_iter().filter(counts).collect();
-        Some(Self { record, view, estimate, hypothetical, detectors, interpolated })
+        Some(Self { record, view, estimate, hypothetical, interpolated })
     }
 
     /// Whether the classifier detects a valve with a band of `share` spans; `None` if the stem hardly moves.
@@ -84,13 +81,22 @@ impl<'a> Window<'a> {
         let s = share * self.hypothetical.span();
         let valve = self.hypothetical.valve(s, JUMP * s)?;
         let view = View::beside(&self.view.output, &valve.pv, Some(share));
-        let figures = rule::figures_of(None, self.record, &valve.pv, &view, &self.detectors, self.interpolated);
+        // What has no weight need not be asked.
+        let counts = |name: &str| Rule::shipped().names().any(|n| n == name);
+        let without_fit = Figures::without_fit(self.record, &valve.pv, &view, self.interpolated, counts);
+        // Noise and disturbances are those at hand, and so is what a fit leaves of them.
+        let left = &self.estimate.spread.whiteness;
         let p = |index: f64| {
-            let mut figures: Features = figures.clone();
-            // Noise and disturbances are those at hand, and so is what a fit leaves of them.
-            let left = &self.estimate.spread.whiteness;
-            figures.extend(rule::of_fit(index, valve.s_over_span, valve.reversals, left, self.record.len()));
-            Rule::shipped().opinion(&rule::features(figures)).p()
+            let fit = FitFigures {
+                index,
+                index_moves: 0.0,
+                s_over_span: valve.s_over_span,
+                reversals: valve.reversals as f64,
+                points: self.record.len() as f64,
+                inflation: left.inflation,
+                portmanteau: left.portmanteau,
+            };
+            Rule::shipped().opinion(&without_fit.with_fit(fit).features()).p()
         };
         // Most small bands are not seen even were the fit perfect; then there is no need for it.
         Some(p(1.0) >= SEEN && p(self.hypothetical.index(&valve)) >= SEEN)

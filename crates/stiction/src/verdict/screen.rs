@@ -6,10 +6,11 @@
 //! probability is the classifier's average for such loops.
 
 use super::document::{Assessment, Gate, Verdict};
-use super::judge::grade;
-use super::rule;
+use super::features::Features;
+use super::judgement::grade;
+use super::rule::Rule;
+use crate::detect::calm;
 use crate::detect::oscillation::{Looks, Oscillates};
-use crate::detect::{self, Indicator, calm};
 use crate::record::Record;
 use crate::signal::stats;
 
@@ -73,14 +74,18 @@ fn may_oscillate(of: Option<Oscillates>) -> bool {
     of.is_some_and(|o| o.regularity > REGULAR && o.persistence > PERSISTENT)
 }
 
-/// The assessment of a screened window.
-pub(crate) fn answer(out: &mut Assessment) {
-    out.verdict = Verdict::NoOscillation;
-    out.stiction = out.verdict.stiction();
-    out.p_stiction = Some(P_CALM);
-    out.confidence = Some(P_CALM.max(1.0 - P_CALM));
-    out.reason = Some(SCREENED);
-    out.grade = Some(grade(out.confidence, !out.gates.is_empty(), None));
-    let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
-    out.indicators = names.map(|name| Indicator { name, score: None, vote: None, contribution: 0.0 }).collect();
+/// The assessment of a screened window, of which `whole` holds oscillation and checks.
+pub(crate) fn answer(whole: Assessment) -> Assessment {
+    let verdict = Verdict::NoOscillation;
+    let confidence = Some(P_CALM.max(1.0 - P_CALM));
+    Assessment {
+        verdict,
+        stiction: verdict.stiction(),
+        p_stiction: Some(P_CALM),
+        confidence,
+        reason: Some(SCREENED),
+        grade: Some(grade(confidence, !whole.gates.is_empty(), None)),
+        indicators: Rule::shipped().indicators(&Features::default()),
+        ..whole
+    }
 }

@@ -4,7 +4,7 @@ use crate::ident::region::Size;
 use crate::units::{duration, number, probability};
 use crate::verdict::action::{self, Action};
 use crate::verdict::assess::WHOLE_SWING;
-use crate::verdict::rule::OF_THE_FIT;
+use crate::verdict::features::OF_THE_FIT;
 pub use crate::verdict::texts::capital;
 use crate::verdict::{Assessment, Gate, Implausible, SCREENED, Verdict, texts};
 
@@ -421,8 +421,7 @@ mod tests {
 
     #[test]
     fn every_indicator_has_words() {
-        let names = OF_THE_FIT.into_iter().chain(crate::detect::ALL.iter().map(|d| d.name()));
-        for name in names {
+        for name in crate::verdict::features::names() {
             assert!(looks_at(name) != UNNAMED && fact(name, true) != fact(name, false), "{name}");
         }
     }
