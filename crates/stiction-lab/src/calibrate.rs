@@ -264,8 +264,8 @@ mod tests {
                     "horch" if k % 10 != 3 => Some(horch),
                     _ => None,
                 };
-                let figures =
-                    Figures { fit: None, setpoint_share: 0.0, interpolated: false, detectors: ALL.map(score) };
+                let fit = Some(FitFigures::default());
+                let figures = Figures { fit, setpoint_share: 0.0, interpolated: false, detectors: ALL.map(score) };
                 Example {
                     name: format!("loop {k}"),
                     source: "drawn".to_owned(),
