@@ -28,8 +28,6 @@ pub struct Estimate {
     pub span: f64,
     /// 1 - error with stiction / error without, for the same process class, 0..1.
     pub index: f64,
-    /// The same for differences of the free-run error, which slow disturbances hardly affect.
-    pub index_moves: f64,
     /// The valve model that fits better.
     pub law: Law,
     /// Process class.
@@ -187,7 +185,6 @@ fn report(
         j: j * span,
         span,
         index: improvement(plain_sse.min(answer.plain.sse), answer.without),
-        index_moves: answer.index_moves,
         law: best.law,
         class,
         gain: if class.integrates() { gain / point_s } else { gain },

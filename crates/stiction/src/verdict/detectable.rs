@@ -89,7 +89,6 @@ impl<'a> Window<'a> {
         let p = |index: f64| {
             let fit = FitFigures {
                 index,
-                index_moves: 0.0,
                 s_over_span: valve.s_over_span,
                 reversals: valve.reversals as f64,
                 points: self.record.len() as f64,

@@ -19,7 +19,7 @@ const HALF_ODD: f64 = 0.5;
 const MOST_SETPOINT: f64 = 2.0;
 
 /// Names of the features that are made of the fit, in the order of documents.
-pub const OF_THE_FIT: [&str; 3] = ["likelihood", "confirmed", "moves"];
+pub const OF_THE_FIT: [&str; 2] = ["likelihood", "confirmed"];
 /// Detectors that are used in a feature of the fit, or left out for a PV on straight lines.
 const HORCH: &str = "horch";
 const JUMPS: &str = "jumps";
@@ -64,8 +64,6 @@ impl Features {
 pub struct FitFigures {
     /// Stiction index, 0..1.
     pub index: f64,
-    /// The same for differences of the free-run error, less where s is small.
-    pub index_moves: f64,
     /// s, spans of OP.
     pub s_over_span: f64,
     /// Reversals of the stem.
@@ -82,7 +80,6 @@ impl FitFigures {
     fn of(e: &Estimate, points: usize) -> Self {
         Self {
             index: e.index,
-            index_moves: e.index_moves,
             s_over_span: e.s / e.span,
             reversals: e.reversals as f64,
             points: points as f64,
@@ -149,7 +146,6 @@ impl Figures {
     /// |---|---|
     /// | `likelihood` | `ln(1 + n/2 ln(1 / (1 - index)))`, n the independent points: the logarithm of how much likelier the record is with friction than without; less, as `1 / (1 + (Q / 45.3)^2)`, where the statistic Q of Ljung and Box (1978) over 20 lags says that the fit leaves more than noise; 0 without a fit |
     /// | `confirmed` | the stiction index, less where s is under a fifth of OP's span, where the stem turned less than 12 times while the set point hardly moved (few turns can be an accident), and where OP is an image of PV (`horch` below 0.5: the fit may be of the controller); 0 without a fit |
-    /// | `moves` | the index for differences of the free-run error, which slow disturbances hardly touch, less where s is small |
     ///
     /// None of them is made of a PV that lies on straight lines: what the recorder drew between two stored values any model
     /// follows, and an index near 1 proves nothing.
@@ -160,11 +156,7 @@ impl Figures {
         of_detectors.copy_from_slice(&self.detectors);
         if !self.interpolated {
             let fit = self.fit.as_ref();
-            let made = [
-                fit.map_or(0.0, likelihood),
-                fit.map_or(0.0, |fit| self.confirmed(fit)),
-                fit.map_or(0.0, |fit| fit.index_moves),
-            ];
+            let made = [fit.map_or(0.0, likelihood), fit.map_or(0.0, |fit| self.confirmed(fit))];
             of_fit.copy_from_slice(&made.map(Some));
         }
         out
@@ -201,7 +193,6 @@ mod tests {
     fn features_of_the_fit_are_zero_without_one_and_absent_on_straight_lines() {
         let fit = FitFigures {
             index: 1.0,
-            index_moves: 0.0,
             s_over_span: 0.1,
             reversals: 6.0,
             points: 200.0,

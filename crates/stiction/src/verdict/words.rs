@@ -264,7 +264,6 @@ pub fn looks_at(name: &str) -> &'static str {
     match name {
         "likelihood" => "how much better a model with friction explains the record than one without",
         "confirmed" => "whether that fit is well supported (enough reversals of the stem, OP not an image of PV)",
-        "moves" => "the same for PV's changes, which slow disturbances hardly affect",
         "horch" => "whether OP and PV are out of phase by a quarter period, as behind a sticking valve",
         "jumps" => "whether PV moves in jumps while OP moves steadily",
         "curve_fit" => "whether half cycles are triangles rather than sinusoids",
@@ -286,10 +285,6 @@ fn fact(name: &str, towards: bool) -> &'static str {
         "confirmed" => [
             "that fit is well supported: enough reversals of the stem, OP not an image of PV",
             "that fit may be an accident: few reversals of the stem, or OP an image of PV",
-        ],
-        "moves" => [
-            "a model with friction explains PV's changes better than one without",
-            "a model with friction explains PV's changes hardly better than one without",
         ],
         "horch" => [
             "OP and PV are out of phase by a quarter period, as behind a sticking valve",

@@ -4,7 +4,6 @@
 use super::candidate::{Candidate, apart};
 use super::classes::classes_of;
 use super::local_search::{Nearness, along_ridge, neighbours, random_steps};
-use super::part::frictionless;
 use super::rivals;
 use super::stages::{Found, Search};
 use crate::ident::candidate::{Candidate as Plain, CandidateFitter};
@@ -31,10 +30,8 @@ const BETTER: f64 = 0.98;
 const REFITTED: usize = 12;
 const FOLLOWED: usize = 4;
 const STEPS: [usize; 2] = [60, 24];
-/// Filter of the view in which slow disturbances weigh little.
-const MOVES_RHO: f64 = 0.98;
-/// Candidates looked at in that view.
-const MOVES_CANDIDATES: usize = 6;
+/// Index from which the record says enough of the friction to ask for rivals and for the residual's filter.
+const LEAST_INDEX: f64 = 0.1;
 /// Lag over the record's length from which the record hardly shows where PV would settle, and the error over the lag's up
 /// to which an integrator is as good.
 const NO_END: f64 = 0.25;
@@ -55,8 +52,6 @@ pub struct Answer {
     pub plain_sse: f64,
     /// Squared plain error without friction, same class.
     pub without: f64,
-    /// Share of the error of differences that goes with the friction, less where s is small.
-    pub index_moves: f64,
     /// Candidates with other bands, fitted as `candidate` is; none where the residual is white.
     pub rivals: Vec<Candidate>,
 }
@@ -85,18 +80,9 @@ impl Search<'_, '_> {
         let without = self.without(best.class);
         let (evaluator, plain) = self.whole();
         let process = evaluator.polish(plain, &best)?;
-        let mut answer = Answer {
-            candidate: best,
-            rho: 0.0,
-            plain: process,
-            plain_sse: process.sse,
-            without,
-            index_moves: 0.0,
-            rivals: Vec::new(),
-        };
-        let same_law: Vec<Candidate> = found.seen.iter().filter(|c| c.law == best.law).copied().collect();
-        answer.index_moves = self.index_moves(&best, &same_law);
-        if !found.is_noise && answer.index().max(answer.index_moves) > 0.1 {
+        let mut answer =
+            Answer { candidate: best, rho: 0.0, plain: process, plain_sse: process.sse, without, rivals: Vec::new() };
+        if !found.is_noise && answer.index() > LEAST_INDEX {
             let rho = {
                 let (evaluator, plain) = self.whole();
                 stats::autocorrelation_1(&evaluator.residual(plain, &best, &answer.plain)).min(MOST_RHO)
@@ -223,21 +209,6 @@ impl Search<'_, '_> {
             }
             rho = next;
         }
-    }
-
-    /// The best share of the error of differences that a band takes away.
-    fn index_moves(&mut self, best: &Candidate, rivals: &[Candidate]) -> f64 {
-        let (evaluator, _) = self.whole();
-        let mut view = evaluator.problem.view(MOVES_RHO, evaluator.points);
-        let without = frictionless(evaluator, &mut view, best.class).map_or(f64::INFINITY, |f| f.sse);
-        let without = without.min(view.nothing());
-        let mut pool = apart(rivals, MOVES_CANDIDATES, 1);
-        pool.push(*best);
-        let shares = pool.iter().filter_map(|c| {
-            let found = evaluator.in_class(&mut view, c, best.class)?;
-            Some(improvement(found.sse(), without) * (found.s / FULL_WEIGHT).min(1.0))
-        });
-        shares.fold(0.0, f64::max)
     }
 }
 
