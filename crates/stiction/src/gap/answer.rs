@@ -1,7 +1,7 @@
 //! The process' answer to a valve signal: lag, second lag or integrator, with a dead time that may change.
 
 use super::plan::Plan;
-use crate::sim::process::{Pole, run_one, series_weights};
+use crate::sim::process::{Pole, series_weights};
 
 /// Points by which an integrator's answer is scaled down, so that it is of the size of its input.
 pub(crate) const INTEGRATOR_SCALE: f64 = 50.0;
@@ -56,20 +56,20 @@ impl Process<'_> {
             self.with_level(v, whole, fraction, out);
             if self.tau[1] > 0.0 {
                 work.clone_from(out);
-                run_one(Pole::lag(self.tau[1], 0.0), 0, work, work.first().copied().unwrap_or(0.0), out);
+                Pole::lag(self.tau[1], 0.0).run(0, work, work.first().copied().unwrap_or(0.0), out);
             }
             return;
         }
         if self.plan.integrating {
             let p = Pole::integrator(fraction);
             let p = Pole { a: p.a, b0: p.b0 / INTEGRATOR_SCALE, b1: p.b1 / INTEGRATOR_SCALE };
-            run_one(p, whole, v, 0.0, out);
+            p.run(whole, v, 0.0, out);
             return;
         }
         let [tau1, tau2] = self.tau;
-        run_one(Pole::lag(tau1, fraction), whole, v, first, out);
+        Pole::lag(tau1, fraction).run(whole, v, first, out);
         if tau2 > 0.0 {
-            run_one(Pole::lag(tau2, fraction), whole, v, first, work);
+            Pole::lag(tau2, fraction).run(whole, v, first, work);
             let (w1, w2) = series_weights(tau1, tau2);
             for (o, w) in out.iter_mut().zip(work.iter()) {
                 *o = w1 * *o + w2 * w;

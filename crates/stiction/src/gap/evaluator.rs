@@ -15,7 +15,7 @@ use super::structure::Structure;
 use super::valve_signal::ValveSignal;
 use crate::ident::class::Class;
 use crate::ident::evaluator::{self as sums, Best, Table, lattice_index, lattice_tau, reduce};
-use crate::ident::fit::Freedom;
+use crate::ident::kinetic_band::Freedom;
 use crate::sim::process::separated;
 
 /// Sets of loads whose tables are kept: a local search comes back to those it started from.

@@ -10,10 +10,8 @@ use super::plain::PlainPass;
 use super::problem::Problem;
 use super::structure::Structure;
 use super::types::Fit;
+use crate::ident::slip_search::problem::{EVEN_STARTS, Problem as SlipProblem};
 use crate::sim::slips::{FirstSlip, Law};
-
-/// Places of the stem before the record that are tried.
-const STARTS: usize = 9;
 
 /// Checks whether a model can be simulated, before any search.
 ///
@@ -185,8 +183,8 @@ fn theta(problem: &Problem, model: &Model, structure: &Structure) -> Parameters 
 fn firsts(problem: &Problem, model: &Model, theta: &Parameters) -> Vec<FirstSlip> {
     let fs = 0.5 * (theta.s + theta.j);
     let normalised = &problem.normalised;
-    let mut out: Vec<FirstSlip> =
-        normalised.starts(fs, STARTS).into_iter().map(|start| normalised.first_slip(start)).collect();
+    let starts = SlipProblem::new(normalised, 1.0).starts(fs, &EVEN_STARTS);
+    let mut out: Vec<FirstSlip> = starts.into_iter().map(|start| normalised.first_slip(start)).collect();
     if let Some(stem0) = model.valve.stem0 {
         let position = (stem0 - problem.op_middle) / problem.span;
         out.push(FirstSlip { direction: 1.0, threshold: position + fs });

@@ -2,7 +2,7 @@
 
 use crate::record::Record;
 use crate::signal::stats;
-use crate::sim::process::{Pole, run_one};
+use crate::sim::process::Pole;
 
 /// Share of the record's points that a neighbour's samples must cover; ends are held.
 const COVERED: f64 = 0.95;
@@ -211,7 +211,7 @@ impl Load {
         let mut out = Vec::new();
         let first = self.values.first().copied().unwrap_or(0.0);
         let whole = delay.max(0.0).floor();
-        run_one(Pole::lag(lag, delay.max(0.0) - whole), whole as usize, &self.values, first, &mut out);
+        Pole::lag(lag, delay.max(0.0) - whole).run(whole as usize, &self.values, first, &mut out);
         let last = out.last().copied().unwrap_or(0.0);
         out.resize(n, last);
         out

@@ -13,7 +13,7 @@ use super::problem::{Problem, View};
 use super::structure::Structure;
 use super::valve_signal::switch_of;
 use crate::ident::candidate::{MIN_SLIPS, freedom};
-use crate::ident::fit::{Freedom, best_band};
+use crate::ident::kinetic_band::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
 use crate::sim::actuator::lag_path;
 use crate::sim::slips::Sequence;

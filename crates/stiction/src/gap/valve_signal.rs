@@ -7,7 +7,7 @@ use super::candidate::Parameters;
 use super::plan::{Drift, Plan};
 use super::problem::Problem;
 use crate::ident::candidate::{MIN_SLIPS, band_freedom};
-use crate::ident::fit::Freedom;
+use crate::ident::kinetic_band::Freedom;
 use crate::ident::slip_search::problem::BehindStem;
 use crate::sim::actuator::{lag_path, play_step, rate_step, stop_step};
 use crate::sim::slips::Stem;

@@ -1,8 +1,8 @@
 //! One candidate: a pair (s, j) and a first slip, the slips they make of OP, and the process model that fits best.
 
-use super::class::{Class, Limits, Shape};
-use super::fit::{Fitted, Fitter, Freedom, Target};
-use crate::sim::slips::{FirstSlip, Law, Sequence, Stroke};
+use super::class::Limits;
+use super::kinetic_band::Freedom;
+use crate::sim::slips::{FirstSlip, Sequence, Stroke};
 use std::ops::Range;
 
 /// A record in normalised form: OP in spans, PV in standard deviations.
@@ -14,8 +14,6 @@ pub struct NormalisedRecord {
     pub per_point: usize,
     /// OP averaged over each point.
     pub mean: Vec<f64>,
-    /// As long as `mean`, all zero: the second half of a signal without friction.
-    pub still: Vec<f64>,
     /// PV less its mean, over its standard deviation.
     pub pv: Vec<f64>,
     /// Limits of the process' shape, points.
@@ -68,12 +66,6 @@ impl SlipEnd {
 }
 
 impl NormalisedRecord {
-    /// The signal without friction.
-    #[must_use]
-    pub(crate) fn frictionless(&self) -> [&[f64]; 2] {
-        [&self.mean, &self.still]
-    }
-
     /// Running maxima (or minima) of OP from its first value on.
     pub(crate) fn records_of(path: &[f64]) -> [Vec<f64>; 2] {
         let first = path.first().copied().unwrap_or(0.0);
@@ -96,7 +88,6 @@ impl NormalisedRecord {
             records: Self::records_of(&path),
             path,
             mean: self.mean[points.clone()].to_vec(),
-            still: self.still[points.clone()].to_vec(),
             pv: self.pv[points].to_vec(),
             ..*self
         }
@@ -122,27 +113,6 @@ impl NormalisedRecord {
         let record = (start.record as f64 + by).clamp(0.0, last as f64) as usize;
         Start { record, ..start }
     }
-
-    /// The start that a stem at `position` makes with the band `fs`, if OP ever moves it.
-    fn start_from(&self, position: f64, fs: f64) -> Option<Start> {
-        let moved = self.path.iter().find(|op| (*op - position).abs() > fs)?;
-        let up = *moved > position;
-        let list = &self.records[usize::from(!up)];
-        let record = list.iter().position(|r| r == moved)?;
-        Some(Start { up, record, place: 0.5 })
-    }
-
-    /// Starts worth trying with the band `fs`: the stem below, on and above OP's first value.
-    pub(crate) fn starts(&self, fs: f64, wanted: usize) -> Vec<Start> {
-        let mut out: Vec<Start> = Vec::with_capacity(wanted);
-        for k in 0..wanted {
-            let offset = if wanted > 1 { 1.8 * k as f64 / (wanted - 1) as f64 - 0.9 } else { 0.0 };
-            let Some(first) = self.path.first() else { break };
-            let start = self.start_from(first + offset * fs, fs).filter(|s| !out.contains(s));
-            out.extend(start);
-        }
-        out
-    }
 }
 
 /// Which of OP's records brings the first slip, and where between the record before and it the threshold lies (0..1).
@@ -156,177 +126,8 @@ pub struct Start {
     pub place: f64,
 }
 
-/// A fitted candidate. Sizes in spans of OP.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Candidate {
-    /// Dead band plus stick band.
-    pub s: f64,
-    /// Slip jump.
-    pub j: f64,
-    /// First slip.
-    pub start: Start,
-    /// Values of s that give the same slips.
-    pub s_cell: [f64; 2],
-    /// Values of j that give the same slips.
-    pub j_cell: [f64; 2],
-    /// Moves of the stem.
-    pub slips: usize,
-    /// Changes of its direction.
-    pub reversals: usize,
-    /// The process model.
-    pub fit: Fitted,
-}
-
-impl Candidate {
-    /// (s, j) in the middle of what the slips and the fitted fd leave open.
-    #[must_use]
-    pub fn centred(&self) -> [f64; 2] {
-        let fd = self.fit.fd;
-        let high_s = self.s_cell[1].min(self.s.max(1.0));
-        let low = self.s_cell[0].max(self.j_cell[0] + 2.0 * fd);
-        let high = high_s.min(self.j_cell[1] + 2.0 * fd);
-        let s = if low <= high { 0.5 * (low + high) } else { self.s };
-        [s, (s - 2.0 * fd).clamp(0.0, s)]
-    }
-}
-
-/// How hard one candidate is fitted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Effort {
-    /// Gauss-Newton steps.
-    pub steps: usize,
-    /// Cost beyond which the steps are not worth it.
-    pub hopeless: f64,
-    /// Cost that a step must promise to be taken.
-    pub wanted: f64,
-}
-
 /// Fewest moves of the stem from which a model is fitted.
 pub(crate) const MIN_SLIPS: usize = 3;
-
-/// Turns (s, j, start) into fitted candidates.
-#[derive(Debug)]
-pub(crate) struct CandidateFitter<'a> {
-    /// The record.
-    pub normalised: &'a NormalisedRecord,
-    /// The valve law.
-    pub law: Law,
-    /// The class of process.
-    pub class: Class,
-    /// The signal to be met.
-    pub target: &'a Target,
-    /// Sign of the gain.
-    pub sign: f64,
-    /// The fits' buffers and count.
-    pub fitter: Fitter,
-    sequence: Sequence,
-}
-
-impl Effort {
-    /// So many steps, whatever they promise.
-    #[must_use]
-    pub(crate) const fn of(steps: usize) -> Self {
-        Self { steps, hopeless: f64::INFINITY, wanted: f64::INFINITY }
-    }
-}
-
-impl<'a> CandidateFitter<'a> {
-    /// Fits for one record, law, class, target and sign.
-    #[must_use]
-    pub(crate) fn new(normalised: &'a NormalisedRecord, law: Law, class: Class, target: &'a Target, sign: f64) -> Self {
-        Self { normalised, law, class, target, sign, fitter: Fitter::default(), sequence: Sequence::default() }
-    }
-
-    /// Fits the process from the best of the `shapes`; `None` where the stem hardly moves.
-    pub(crate) fn fit(&mut self, s: f64, j: f64, start: Start, shapes: &[Shape], effort: Effort) -> Option<Candidate> {
-        let freedom = self.slip(s, j, start)?;
-        self.fit_within(&freedom, [s, j], start, shapes, effort)
-    }
-
-    /// The same with fd held at (s - j) / 2, for maps of the error.
-    pub fn fit_exactly(
-        &mut self,
-        [s, j]: [f64; 2],
-        start: Start,
-        shapes: &[Shape],
-        effort: Effort,
-    ) -> Option<Candidate> {
-        let fd = 0.5 * (s - j);
-        let freedom = Freedom { fd: [fd; 2], fd_default: fd, ..self.slip(s, j, start)? };
-        self.fit_within(&freedom, [s, j], start, shapes, effort)
-    }
-
-    /// Fits the process behind the slips at hand.
-    fn fit_within(
-        &mut self,
-        freedom: &Freedom,
-        [s, j]: [f64; 2],
-        start: Start,
-        shapes: &[Shape],
-        effort: Effort,
-    ) -> Option<Candidate> {
-        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        let mut best: Option<Fitted> = None;
-        for shape in shapes {
-            let fit = self.fitter.linear(self.class, shape, signal, self.target, freedom);
-            if best.is_none_or(|b| fit.sse < b.sse) {
-                best = Some(fit);
-            }
-        }
-        let mut fit = best?;
-        if effort.steps > 0 && fit.sse < effort.hopeless {
-            if shapes.last() != Some(&fit.shape) {
-                fit = self.fitter.linear(self.class, &fit.shape, signal, self.target, freedom);
-            }
-            fit =
-                self.fitter.improve(self.class, fit, signal, self.target, freedom, effort.steps, [1e-4, effort.wanted]);
-        }
-        Some(self.candidate(s, j, start, fit))
-    }
-
-    /// Fits the process of a candidate until nothing helps any more.
-    pub fn settle(&mut self, from: &Candidate) -> Option<Candidate> {
-        let freedom = self.slip(from.s, from.j, from.start)?;
-        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        let fit = self.fitter.settle(self.class, from.fit, signal, self.target, &freedom);
-        Some(self.candidate(from.s, from.j, from.start, fit))
-    }
-
-    /// Mean squared error on what follows the first `share` of the record when the process is fitted to that part alone.
-    pub(crate) fn held_out(&mut self, of: &Candidate, share: f64) -> f64 {
-        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return f64::INFINITY };
-        let count = (share * self.target.y.len() as f64) as usize;
-        let end = self.target.from + count;
-        let part = Target { y: self.target.y[..count].to_vec(), ..*self.target };
-        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        let fit = self.fitter.settle(self.class, of.fit, signal.map(|x| &x[..end]), &part, &freedom);
-        let left = self.fitter.leftover(self.class, &fit, signal, self.target);
-        left[count..].iter().map(|r| r * r).sum::<f64>() / (left.len() - count).max(1) as f64
-    }
-
-    /// What a candidate leaves of the target, from its first point on.
-    pub fn residual(&mut self, of: &Candidate) -> Vec<f64> {
-        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return Vec::new() };
-        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        self.fitter.residual(self.class, &of.fit, signal, self.target, &freedom)
-    }
-
-    fn candidate(&self, s: f64, j: f64, start: Start, fit: Fitted) -> Candidate {
-        let q = &self.sequence;
-        Candidate { s, j, start, s_cell: q.s_cell, j_cell: q.j_cell, slips: q.slips, reversals: q.reversals, fit }
-    }
-
-    /// Runs the valve and tells which fd its slips allow.
-    fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
-        let normalised = self.normalised;
-        let first = normalised.first_slip(start);
-        self.sequence.run_in(normalised.stroke, self.law, &normalised.path, normalised.per_point, [s, j], first);
-        if self.sequence.slips < MIN_SLIPS {
-            return None;
-        }
-        Some(freedom(&self.sequence, [s, j], self.sign, normalised.limits, normalised.slip_end))
-    }
-}
 
 /// The bands fd that the slips of `sequence` leave open to (s, j).
 #[must_use]
@@ -359,6 +160,7 @@ pub(crate) fn band_freedom(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::slips::Law;
 
     #[test]
     fn a_slip_end_keeps_jumps_on_its_side_and_reaches_all_of_them() {

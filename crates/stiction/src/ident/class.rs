@@ -2,7 +2,7 @@
 //!
 //! Lags, times and gains are in points here.
 
-use crate::sim::process::{Pole, run_pair, series_weights};
+use crate::sim::process::{Pole, series_weights};
 
 /// A class of process model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,15 +32,6 @@ pub struct Limits {
 
 /// Points by which an integrator's gain is scaled, so that its course is of the size of its input.
 pub(super) const INTEGRATOR_SCALE: f64 = 50.0;
-
-/// Buffers for one response.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Scratch {
-    a: Vec<f64>,
-    b: Vec<f64>,
-    c: Vec<f64>,
-    d: Vec<f64>,
-}
 
 impl Class {
     /// Entries of [`Shape`] in use; the last one is the lag.
@@ -83,19 +74,7 @@ impl Class {
         matches!(self, Self::Integrating | Self::LagIntegrating)
     }
 
-    /// The shape of a single lag `tau` and a `lag`, in points, as this class starts from it.
-    #[must_use]
-    pub(crate) fn start(self, tau: f64, lag: f64) -> Shape {
-        let t = libm::log(tau);
-        match self {
-            Self::First => [t, lag, 0.0],
-            Self::Second => [t, libm::log(0.25 * tau), (lag - 0.2 * tau).max(0.5 * lag)],
-            Self::Integrating => [lag, 0.0, 0.0],
-            Self::LagIntegrating => [libm::log(0.1 * tau), lag, 0.0],
-        }
-    }
-
-    /// The same shape inside the limits; the two lags of [`Class::Second`] are kept in falling order and apart.
+    /// A shape inside the limits; the two lags of [`Class::Second`] are kept in falling order and apart.
     #[must_use]
     pub(crate) fn clamp(self, mut shape: Shape, limits: &Limits) -> Shape {
         let last = self.shape_len() - 1;
@@ -122,46 +101,29 @@ impl Class {
         shape[self.shape_len() - 1]
     }
 
-    /// Responses of unit gain to two signals at once, each from rest at its first value.
-    pub(crate) fn respond_pair(self, shape: &Shape, v: [&[f64]; 2], work: &mut Scratch, out: [&mut Vec<f64>; 2]) {
-        self.respond_shapes([shape, shape], v, work, out);
-    }
-
-    /// Responses of unit gain, each of its own shape to its own signal, from rest at the signal's first value.
-    pub(crate) fn respond_shapes(
-        self,
-        shapes: [&Shape; 2],
-        v: [&[f64]; 2],
-        work: &mut Scratch,
-        out: [&mut Vec<f64>; 2],
-    ) {
-        let lag: [usize; 2] = core::array::from_fn(|i| self.lag(shapes[i]).max(0.0).floor() as usize);
-        let fraction: [f64; 2] = core::array::from_fn(|i| self.lag(shapes[i]).max(0.0) - lag[i] as f64);
-        let rest: [f64; 2] = core::array::from_fn(|i| v[i].first().copied().unwrap_or(0.0));
-        let pole =
-            |slot: usize| -> [Pole; 2] { core::array::from_fn(|i| Pole::lag(libm::exp(shapes[i][slot]), fraction[i])) };
-        let integrator: [Pole; 2] = core::array::from_fn(|i| {
-            let p = Pole::integrator(fraction[i]);
-            Pole { a: p.a, b0: p.b0 / INTEGRATOR_SCALE, b1: p.b1 / INTEGRATOR_SCALE }
-        });
-        let [out0, out1] = out;
+    /// Response of unit gain to a signal, from rest at its first value.
+    #[must_use]
+    pub(crate) fn respond(self, shape: &Shape, v: &[f64]) -> Vec<f64> {
+        let late = self.lag(shape).max(0.0);
+        let (lag, fraction) = (late.floor() as usize, late - late.floor());
+        let behind = |pole: Pole, rest: f64| {
+            let mut out = Vec::new();
+            pole.run(lag, v, rest, &mut out);
+            out
+        };
+        let rest = v.first().copied().unwrap_or(0.0);
+        let tau = |slot: usize| libm::exp(shape[slot]);
+        let behind_lag = |slot: usize| behind(Pole::lag(tau(slot), fraction), rest);
+        let integral = || {
+            let p = Pole::integrator(fraction);
+            behind(Pole { a: p.a, b0: p.b0 / INTEGRATOR_SCALE, b1: p.b1 / INTEGRATOR_SCALE }, 0.0)
+        };
         match self {
-            Self::First => run_pair(pole(0), lag, v, rest, [out0, out1]),
-            Self::Integrating => run_pair(integrator, lag, v, [0.0; 2], [out0, out1]),
-            Self::Second => {
-                run_pair(pole(0), lag, v, rest, [out0, out1]);
-                run_pair(pole(1), lag, v, rest, [&mut work.a, &mut work.b]);
-                let weights = |s: &Shape| series_weights(libm::exp(s[0]), libm::exp(s[1]));
-                mix(out0, &work.a, weights(shapes[0]));
-                mix(out1, &work.b, weights(shapes[1]));
-            }
-            Self::LagIntegrating => {
-                run_pair(integrator, lag, v, [0.0; 2], [out0, out1]);
-                run_pair(pole(0), lag, v, rest, [&mut work.c, &mut work.d]);
-                // 1/(s (tau s + 1)) = 1/s - tau/(tau s + 1)
-                mix(out0, &work.c, (1.0, -libm::exp(shapes[0][0]) / INTEGRATOR_SCALE));
-                mix(out1, &work.d, (1.0, -libm::exp(shapes[1][0]) / INTEGRATOR_SCALE));
-            }
+            Self::First => behind_lag(0),
+            Self::Integrating => integral(),
+            Self::Second => mixed(behind_lag(0), &behind_lag(1), series_weights(tau(0), tau(1))),
+            // 1/(s (tau s + 1)) = 1/s - tau/(tau s + 1)
+            Self::LagIntegrating => mixed(integral(), &behind_lag(0), (1.0, -tau(0) / INTEGRATOR_SCALE)),
         }
     }
 
@@ -198,11 +160,12 @@ impl Class {
     }
 }
 
-/// `x <- w.0 x + w.1 z`.
-fn mix(x: &mut [f64], z: &[f64], w: (f64, f64)) {
+/// `w.0 x + w.1 z`.
+fn mixed(mut x: Vec<f64>, z: &[f64], w: (f64, f64)) -> Vec<f64> {
     for (a, b) in x.iter_mut().zip(z) {
         *a = w.0 * *a + w.1 * b;
     }
+    x
 }
 
 #[cfg(test)]
@@ -212,12 +175,14 @@ mod tests {
     #[test]
     fn every_class_settles_or_integrates_as_its_step_response_says() {
         let v: Vec<f64> = (0..400).map(|k| f64::from(u8::from(k >= 10))).collect();
-        let mut work = Scratch::default();
-        let (mut x, mut z) = (Vec::new(), Vec::new());
-        for class in [Class::First, Class::Second, Class::Integrating, Class::LagIntegrating] {
-            let shape = class.start(8.0, 3.5);
-            class.respond_pair(&shape, [&v, &v], &mut work, [&mut x, &mut z]);
-            assert_eq!(x, z);
+        let (slow, fast, lag) = (libm::log(8.0), libm::log(2.0), 3.5);
+        for (class, shape) in [
+            (Class::First, [slow, lag, 0.0]),
+            (Class::Second, [slow, fast, lag]),
+            (Class::Integrating, [lag, 0.0, 0.0]),
+            (Class::LagIntegrating, [fast, lag, 0.0]),
+        ] {
+            let x = class.respond(&shape, &v);
             assert!(x[10].abs() < 1e-12, "{class:?}");
             let slope = (x[399] - x[398]) * class.gain(1.0).recip();
             if class.integrates() {

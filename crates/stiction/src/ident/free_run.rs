@@ -5,7 +5,7 @@
 
 use super::candidate::{NormalisedRecord, Start};
 use super::choice::Options;
-use super::class::{Class, Limits, Scratch, Shape};
+use super::class::{Class, Limits, Shape};
 use super::least_squares::Gram;
 use super::normalise::normalise;
 use crate::record::Record;
@@ -68,7 +68,7 @@ pub fn free_run(record: &Record, model: &Fixed<'_>, after_ns: i64) -> Option<Fre
     if from + LEAST > record.len() || !coefficient.is_finite() {
         return None;
     }
-    let mut run = Run { normalised: &normalised, class, shape, coefficient, from, work: Scratch::default() };
+    let run = Run { normalised: &normalised, class, shape, coefficient, from };
     let found = run.best(model.law, model.fs / span, model.fd / span)?;
     let rest = if class.integrates() { -found.drift / class.gain(coefficient) } else { found.stem };
     let level = if class.integrates() { 0.0 } else { found.level + coefficient * found.stem };
@@ -100,7 +100,6 @@ struct Run<'a> {
     shape: Shape,
     coefficient: f64,
     from: usize,
-    work: Scratch,
 }
 
 /// The best start, in deviations of PV and spans of OP.
@@ -113,7 +112,7 @@ struct Found {
 }
 
 impl Run<'_> {
-    fn best(&mut self, law: Law, fs: f64, fd: f64) -> Option<Found> {
+    fn best(&self, law: Law, fs: f64, fd: f64) -> Option<Found> {
         let stems: Vec<Vec<f64>> = if fs == 0.0 {
             vec![self.normalised.mean.clone()]
         } else {
@@ -127,19 +126,8 @@ impl Run<'_> {
             };
             starts.into_iter().map(stem).collect()
         };
-        let (mut one, mut two) = (Vec::new(), Vec::new());
-        let mut best: Option<Found> = None;
-        for pair in stems.chunks(2) {
-            let (first, second) = (pair.first()?, pair.last()?);
-            self.class.respond_pair(&self.shape, [first, second], &mut self.work, [&mut one, &mut two]);
-            for (stem, response) in [(first, &one), (second, &two)] {
-                let found = self.levelled(stem, response);
-                if best.is_none_or(|b| found.rmse < b.rmse) {
-                    best = Some(found);
-                }
-            }
-        }
-        best.filter(|b| b.rmse.is_finite())
+        let found = stems.iter().map(|stem| self.levelled(stem, &self.class.respond(&self.shape, stem)));
+        found.filter(|b| b.rmse.is_finite()).min_by(|a, b| a.rmse.total_cmp(&b.rmse))
     }
 
     /// Every first slip that a stem within the band can make: each new record of OP up to two bands away.

@@ -5,14 +5,17 @@
 //! stay as they were. OP stays too, although the controller would have answered: it would have gone farther until the
 //! stem moved, so a large band looks larger and moves the stem less often here than it would have done.
 
-use super::candidate::{CandidateFitter, Effort, MIN_SLIPS, NormalisedRecord, Start};
+use super::candidate::{MIN_SLIPS, NormalisedRecord, Start};
 use super::choice::Options;
-use super::class::{Class, Scratch};
-use super::fit::{Fitted, Target};
-use super::frictionless;
+use super::class::Class;
+use super::evaluator::lattice_tau;
 use super::normalise::normalise;
 use super::quantify::Estimate;
 use super::slip_search::answer::improvement;
+use super::slip_search::candidate::LatticeFit;
+use super::slip_search::evaluator::{on_whole_record, shape_of};
+use super::slip_search::part::frictionless;
+use super::slip_search::problem::Problem;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{Law, Sequence};
@@ -24,7 +27,7 @@ pub(crate) struct Hypothetical<'a> {
     normalised: NormalisedRecord,
     class: Class,
     sign: f64,
-    process: Fitted,
+    process: LatticeFit,
     span: f64,
     deviation: f64,
 }
@@ -41,11 +44,9 @@ pub(crate) struct HypotheticalValve {
     /// s and j, spans of OP.
     bands: [f64; 2],
     start: Start,
-    target: Target,
+    /// The record with that PV.
+    normalised: NormalisedRecord,
 }
-
-/// Gauss-Newton steps for the process behind a hypothetical valve, which starts at the process that made PV.
-const STEPS: usize = 6;
 
 impl<'a> Hypothetical<'a> {
     /// Takes the process out of a record whose valve is taken for healthy; `estimate` is what [`super::quantify()`] made of
@@ -57,9 +58,9 @@ impl<'a> Hypothetical<'a> {
             return None;
         }
         let normalised = normalise(record, options, span, deviation);
-        let target = Target::new(&normalised.pv, 0.0, normalised.from);
         let (class, sign) = (estimate.class, estimate.gain.signum());
-        let process = frictionless::best(&normalised, &target, class, sign, 1)?;
+        let process =
+            on_whole_record(&normalised, sign, Law::He, class, |evaluator, view| frictionless(evaluator, view, class))?;
         (process.gain != 0.0).then_some(Self { record, normalised, class, sign, process, span, deviation })
     }
 
@@ -75,7 +76,7 @@ impl<'a> Hypothetical<'a> {
     pub(crate) fn valve(&self, s: f64, j: f64) -> Option<HypotheticalValve> {
         let (s, j) = (s / self.span, j / self.span);
         let normalised = &self.normalised;
-        let start = normalised.starts(0.5 * (s + j), 1).first().copied()?;
+        let start = Problem::new(normalised, self.sign).starts(0.5 * (s + j), &[0.0]).first().copied()?;
         let mut sequence = Sequence::default();
         sequence.run(Law::He, &normalised.path, normalised.per_point, s, j, normalised.first_slip(start));
         if sequence.slips < MIN_SLIPS {
@@ -89,29 +90,28 @@ impl<'a> Hypothetical<'a> {
             let offset = stats::mean(&moved);
             moved.iter_mut().for_each(|m| *m -= offset);
         }
-        let (mut answer, mut unused) = (Vec::new(), Vec::new());
-        let mut work = Scratch::default();
-        self.class.respond_pair(&self.process.shape, [&moved, &moved], &mut work, [&mut answer, &mut unused]);
+        let shape = shape_of(self.class, self.process.places.map(lattice_tau), self.process.lag());
+        let mut answer = self.class.respond(&shape, &moved);
         answer.iter_mut().for_each(|a| *a *= self.process.gain);
-        let behind_it: Vec<f64> = normalised.pv.iter().zip(&answer).map(|(pv, a)| pv + a).collect();
+        let pv = normalised.pv.iter().zip(&answer).map(|(pv, a)| pv + a).collect();
         Some(HypotheticalValve {
             pv: self.record.pv.iter().zip(&answer).map(|(pv, a)| pv + self.deviation * a).collect(),
             s_over_span: s,
             reversals: sequence.reversals,
             bands: [s, j],
             start,
-            target: Target::new(&behind_it, 0.0, normalised.from),
+            normalised: NormalisedRecord { pv, ..normalised.clone() },
         })
     }
 
     /// 1 - error with this very valve / error without friction, 0..1; the process is fitted anew to each.
     #[must_use]
     pub(crate) fn index(&self, of: &HypotheticalValve) -> f64 {
-        let [s, j] = of.bands;
-        let mut fits = CandidateFitter::new(&self.normalised, Law::He, self.class, &of.target, self.sign);
-        let effort = Effort::of(STEPS);
-        let with = fits.fit(s, j, of.start, &[self.process.shape], effort);
-        let without = frictionless::best(&self.normalised, &of.target, self.class, self.sign, 1);
-        with.zip(without).map_or(0.0, |(with, without)| improvement(with.fit.sse, without.sse))
+        let index = on_whole_record(&of.normalised, self.sign, Law::He, self.class, |evaluator, view| {
+            let without = frictionless(evaluator, view, self.class)?;
+            let with = evaluator.met(view, of.bands, of.start, &self.process)?;
+            Some(improvement(with.sse(), without.sse))
+        });
+        index.unwrap_or(0.0)
     }
 }

@@ -1,6 +1,6 @@
 //! Least squares on a handful of columns: Gram matrices and their elimination, without allocation.
 
-use crate::signal::stats::{dot, dot3, sum};
+use crate::signal::stats::{dot, dot3};
 
 /// Most columns that a system here has, right-hand side included.
 pub(crate) const MAX: usize = 16;
@@ -50,45 +50,6 @@ impl Gram {
             }
         }
         Self { n, m, live: [false; MAX] }
-    }
-
-    /// As [`Gram::of`] with a constant column of `count` times `level` in front, sums in place of its products. A
-    /// column that is shorter than `count` is 0 from its end on.
-    #[must_use]
-    pub(crate) fn with_constant(level: f64, count: usize, columns: &[&[f64]]) -> Self {
-        let n = columns.len().min(MAX - 1) + 1;
-        let mut m = [[0.0; MAX]; MAX];
-        m[0][0] = level * level * count as f64;
-        for i in 1..n {
-            let own = columns[i - 1];
-            m[0][i] = level * sum(own);
-            let mut k = i;
-            while k < n {
-                let full = (k + 3 <= n).then(|| [columns[k - 1], columns[k], columns[k + 1]]);
-                match full.filter(|three| three.iter().all(|c| c.len() >= own.len())) {
-                    Some(three) => {
-                        m[i][k..k + 3].copy_from_slice(&dot3(own, three));
-                        k += 3;
-                    }
-                    None => {
-                        m[i][k] = dot(own, columns[k - 1]);
-                        k += 1;
-                    }
-                }
-            }
-        }
-        Self { n, m, live: [false; MAX] }
-    }
-
-    /// Appends a column whose products with the others and with itself are known (left out when there is no room).
-    pub(crate) fn append(&mut self, products: &[f64], square: f64) {
-        if self.n < MAX {
-            for (row, product) in self.m.iter_mut().zip(&products[..products.len().min(self.n)]) {
-                row[self.n] = *product;
-            }
-            self.m[self.n][self.n] = square;
-            self.n += 1;
-        }
     }
 
     /// Entry (row, column), row <= column; after elimination that of the Schur complement.
@@ -156,25 +117,6 @@ mod tests {
             assert!((got - want).abs() < 1e-10, "{x:?}");
         }
         assert!(gram.at(4, 4).abs() < 1e-9);
-    }
-
-    #[test]
-    fn a_constant_and_short_columns_give_the_same_products() {
-        let n = 41;
-        let wave: Vec<f64> = (0..n).map(|k| libm::sin(k as f64 * 0.3)).collect();
-        let ramp: Vec<f64> = (0..n).map(|k| k as f64).collect();
-        let short: Vec<f64> = (0..7).map(|k| libm::pow(0.5, f64::from(k))).collect();
-        let mut long = short.clone();
-        long.resize(n, 0.0);
-        let plain = Gram::of(&[&vec![0.3; n], &long, &wave, &ramp, &long, &wave]);
-        let mut quick = Gram::with_constant(0.3, n, &[&short, &wave, &ramp, &short]);
-        let products: Vec<f64> = (0..5).map(|row| plain.at(row, 5)).collect();
-        quick.append(&products, plain.at(5, 5));
-        for row in 0..6 {
-            for column in row..6 {
-                assert!((plain.at(row, column) - quick.at(row, column)).abs() < 1e-9, "{row} {column}");
-            }
-        }
     }
 
     #[test]

@@ -39,7 +39,6 @@ pub(crate) fn normalise(record: &Record, options: &Options, span: f64, deviation
     let from = (lag[1].ceil() as usize + 1).min(n / 2);
     let limits = Limits { tau: [0.3, (3.0 * n as f64).max(500.0)], lag };
     let records = NormalisedRecord::records_of(&path);
-    let still = vec![0.0; n];
     let width = ((period / 32.0) as usize).max(1);
     let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
     let rate = stats::median(&travel);
@@ -47,7 +46,6 @@ pub(crate) fn normalise(record: &Record, options: &Options, span: f64, deviation
         path,
         per_point: m,
         mean,
-        still,
         pv,
         limits,
         from,

@@ -93,13 +93,25 @@ impl Surface {
     /// The surface of a record; `None` if a signal is constant or there are fewer than 30 points.
     #[must_use]
     pub fn new(record: &Record, options: &Options, law: Law, class: Class) -> Option<Self> {
+        Self::of_sign(record, options, law, class, None)
+    }
+
+    /// The same with the sign of the gain given, or both tried where the record does not tell it.
+    pub(super) fn of_sign(
+        record: &Record,
+        options: &Options,
+        law: Law,
+        class: Class,
+        sign: Option<f64>,
+    ) -> Option<Self> {
         let span = stats::span(&record.op_path);
         let deviation = stats::std_dev(&record.pv);
         if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
             return None;
         }
         let normalised = normalise(record, options, span, deviation);
-        let signs = sign::of_gain(&normalised.mean, &normalised.pv).map_or(vec![1.0, -1.0], |s| vec![s]);
+        let sign = sign.or_else(|| sign::of_gain(&normalised.mean, &normalised.pv));
+        let signs = sign.map_or(vec![1.0, -1.0], |s| vec![s]);
         let side = |sign: f64| {
             let problem = Problem::new(&normalised, sign);
             let points = problem.points();
@@ -202,7 +214,7 @@ impl Side {
     fn process(&mut self, evaluator: &mut Evaluator<'_>, [s, j]: [f64; 2], start: Start) -> Option<Candidate> {
         let fd = 0.5 * (s - j);
         let freedom = evaluator.slip(s, j, start)?;
-        let freedom = super::fit::Freedom { fd: [fd; 2], fd_default: fd, ..freedom };
+        let freedom = super::kinetic_band::Freedom { fd: [fd; 2], fd_default: fd, ..freedom };
         let seen = self.scans.iter().map(|scan| scan.look(&evaluator.steps().list, &freedom));
         let seen = seen.min_by(|a, b| a.share.total_cmp(&b.share))?;
         let place = lattice_index(seen.tau);

@@ -32,89 +32,32 @@ impl Pole {
     }
 
     /// Runs the recursion over `v` with `lag` whole samples into `out` (same length), from the state `x0` with the
-    /// input before the record held at `v[0]`.
+    /// input before the record held at `v[0]`. Four values at a time: the chain from value to value is a quarter as long.
     pub fn run(&self, lag: usize, v: &[f64], x0: f64, out: &mut Vec<f64>) {
-        out.clear();
-        let Some(first) = v.first().copied() else { return };
-        let mut x = x0;
-        let head = (lag + 1).min(v.len());
-        for k in 0..head {
-            let newer = if k >= lag { v[k - lag] } else { first };
-            x = self.a * x + self.b0 * newer + self.b1 * first;
-            out.push(x);
+        out.resize(v.len(), 0.0);
+        let Some(first) = v.first() else { return };
+        let Self { a, b0, b1 } = *self;
+        let (n, head, mut x) = (v.len(), (lag + 1).min(v.len()), x0);
+        for (k, slot) in out.iter_mut().take(head).enumerate() {
+            let newer = if k >= lag { v[k - lag] } else { *first };
+            x = a * x + (b0 * newer + b1 * first);
+            *slot = x;
         }
-        for pair in v.windows(2).take(v.len() - head) {
-            x = self.a * x + self.b0 * pair[1] + self.b1 * pair[0];
-            out.push(x);
-        }
-    }
-}
-
-/// Two recursions, each with its own lag, input and start as in [`Pole::run`] and equal to it but for rounding,
-/// several times as fast. `v` are of equal length, `out` are set to it.
-pub(crate) fn run_pair(poles: [Pole; 2], lags: [usize; 2], v: [&[f64]; 2], x0: [f64; 2], out: [&mut Vec<f64>; 2]) {
-    let n = v[0].len().min(v[1].len());
-    let [first, second] = out;
-    first.resize(n, 0.0);
-    second.resize(n, 0.0);
-    let x0 = [head(poles[0], lags[0], &v[0][..n], x0[0], first), head(poles[1], lags[1], &v[1][..n], x0[1], second)];
-    let from = lags.map(|lag| (lag + 1).min(n));
-    if from[0] == from[1] {
-        // Side by side, neither chain waits for the other.
-        tails(poles, [&v[0][..n], &v[1][..n]], x0, from[0], [first, second]);
-    } else {
-        tails([poles[0]], [&v[0][..n]], [x0[0]], from[0], [first]);
-        tails([poles[1]], [&v[1][..n]], [x0[1]], from[1], [second]);
-    }
-}
-
-/// As [`run_pair`] for one recursion.
-pub(crate) fn run_one(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut Vec<f64>) {
-    out.resize(v.len(), 0.0);
-    if !v.is_empty() {
-        let state = head(pole, lag, v, x0, out);
-        tails([pole], [v], [state], (lag + 1).min(v.len()), [out]);
-    }
-}
-
-/// The values of a recursion while its input is still that before the record, and the last of them.
-fn head(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut [f64]) -> f64 {
-    let mut x = x0;
-    for (k, slot) in out.iter_mut().take(lag + 1).enumerate() {
-        let newer = if k >= lag { v[k - lag] } else { v[0] };
-        x = pole.a * x + (pole.b0 * newer + pole.b1 * v[0]);
-        *slot = x;
-    }
-    x
-}
-
-/// Recursions from value `from` on, four values at a time: the chain from value to value is a quarter as long.
-fn tails<const N: usize>(poles: [Pole; N], v: [&[f64]; N], mut x: [f64; N], from: usize, out: [&mut Vec<f64>; N]) {
-    let n = v.iter().fold(usize::MAX, |n, v| n.min(v.len()));
-    if n <= from {
-        return;
-    }
-    let powers = poles.map(|p| [p.a, p.a * p.a, p.a * p.a * p.a, (p.a * p.a) * (p.a * p.a)]);
-    let slots = out.map(|out| out[from..n].as_chunks_mut::<4>());
-    let old = v.map(|v| v[..n - from].as_chunks::<4>());
-    let new = v.map(|v| v[1..n - from + 1].as_chunks::<4>());
-    for block in 0..(n - from) / 4 {
-        for i in 0..N {
-            let (Pole { a, b0, b1 }, [_, a2, a3, a4]) = (poles[i], powers[i]);
-            let (o, w) = (&old[i].0[block], &new[i].0[block]);
+        let [a2, a3, a4] = [a * a, a * a * a, (a * a) * (a * a)];
+        let (slots, last) = out[head..].as_chunks_mut::<4>();
+        let (older, last_older) = v[..n - head].as_chunks::<4>();
+        let (newer, last_newer) = v[1..=n - head].as_chunks::<4>();
+        for ((slot, o), w) in slots.iter_mut().zip(older).zip(newer) {
             let input: [f64; 4] = core::array::from_fn(|k| b0 * w[k] + b1 * o[k]);
             let p1 = a * input[0] + input[1];
             let p2 = a * p1 + input[2];
             let p3 = a * p2 + input[3];
-            slots[i].0[block] = [a * x[i] + input[0], a2 * x[i] + p1, a3 * x[i] + p2, a4 * x[i] + p3];
-            x[i] = slots[i].0[block][3];
+            *slot = [a * x + input[0], a2 * x + p1, a3 * x + p2, a4 * x + p3];
+            x = slot[3];
         }
-    }
-    for i in 0..N {
-        let Pole { a, b0, b1 } = poles[i];
-        for ((slot, o), w) in slots[i].1.iter_mut().zip(old[i].1).zip(new[i].1) {
-            x[i] = a * x[i] + (b0 * w + b1 * o);
-            *slot = x[i];
+        for ((slot, o), w) in last.iter_mut().zip(last_older).zip(last_newer) {
+            x = a * x + (b0 * w + b1 * o);
+            *slot = x;
         }
     }
 }
@@ -272,18 +215,20 @@ mod tests {
     }
 
     #[test]
-    fn a_pair_is_two_runs() {
-        let v: Vec<f64> = (0..60).map(|k| libm::sin(f64::from(k) * 0.7)).collect();
-        let w: Vec<f64> = v.iter().map(|x| x * x).collect();
-        let poles = [Pole::lag(7.0, 0.4), Pole::integrator(0.2)];
-        for lags in [[3, 0], [0, 5], [80, 2]] {
-            let (mut a, mut b, mut alone) = (Vec::new(), Vec::new(), Vec::new());
-            run_pair(poles, lags, [&v, &w], [0.5, -1.0], [&mut a, &mut b]);
-            poles[0].run(lags[0], &v, 0.5, &mut alone);
-            assert!(a.len() == 60 && a.iter().zip(&alone).all(|(p, q)| (p - q).abs() < 1e-12));
-            poles[1].run(lags[1], &w, -1.0, &mut alone);
-            assert!(b.len() == 60 && b.iter().zip(&alone).all(|(p, q)| (p - q).abs() < 1e-12));
+    fn a_run_is_its_recursion_value_by_value() {
+        let v: Vec<f64> = (0..61).map(|k| libm::sin(f64::from(k) * 0.7)).collect();
+        for (pole, lag) in [(Pole::lag(7.0, 0.4), 3), (Pole::integrator(0.2), 0), (Pole::lag(2.0, 0.9), 80)] {
+            let at = |k: i32| v[k.max(0) as usize];
+            let mut x = 0.5;
+            let mut out = vec![9.0; 7];
+            pole.run(lag, &v, 0.5, &mut out);
+            assert_eq!(out.len(), v.len());
+            for (k, found) in (0..).zip(&out) {
+                x = pole.a * x + pole.b0 * at(k - lag as i32) + pole.b1 * at(k - lag as i32 - 1);
+                assert!((x - found).abs() < 1e-12, "{k}");
+            }
         }
+        Pole::lag(2.0, 0.0).run(3, &[], 0.0, &mut Vec::new());
     }
 
     #[test]

@@ -13,7 +13,7 @@ use super::super::neighbour::{Load, Neighbour};
 use super::super::problem::Problem;
 use crate::ident::random::{seeded_rng, uniform};
 use crate::signal::stats;
-use crate::sim::process::{Pole, run_one};
+use crate::sim::process::Pole;
 
 /// Bins in a period.
 const BINS: f64 = 16.0;
@@ -143,7 +143,7 @@ impl Scan {
                 let binned = means(&Load::new(&neighbour.name, from_op, signal, 1.0).values);
                 for lag in LAGS {
                     let (pole, mut values) = (Pole::lag(lag * period, 0.0), Vec::new());
-                    run_one(pole, 0, &binned, binned.first().copied().unwrap_or(0.0), &mut values);
+                    pole.run(0, &binned, binned.first().copied().unwrap_or(0.0), &mut values);
                     signals.push(Filtered { neighbour: i, from_op, is_quick: lag == LAGS[0], values });
                 }
             }

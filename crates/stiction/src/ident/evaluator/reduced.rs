@@ -1,7 +1,7 @@
 //! What the sums of a valve signal's steps say for every dead time within a sample, gain and kinetic band.
 
 use crate::ident::class::{Class, INTEGRATOR_SCALE};
-use crate::ident::fit::{Freedom, best_band};
+use crate::ident::kinetic_band::{Freedom, best_band};
 
 /// Columns that a step response is made of, at most: level, and ramp or decays.
 pub(super) const PARTS: usize = 3;

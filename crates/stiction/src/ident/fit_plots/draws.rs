@@ -5,14 +5,11 @@ use rand_chacha::ChaCha8Rng;
 use super::super::candidate::NormalisedRecord;
 use super::super::choice::Options;
 use super::super::choice::ValveChoice;
-use super::super::class::Class;
-use super::super::evaluator::lattice_index;
 use super::super::quantify::quantify;
 use super::super::random::{seeded_rng, uniform};
-use super::super::slip_search::candidate::{Candidate as Found, LatticeFit};
-use super::super::slip_search::evaluator::Evaluator;
+use super::super::slip_search::candidate::Candidate;
+use super::super::slip_search::evaluator::on_whole_record;
 use super::super::slip_search::local_search::{Nearness, random_steps};
-use super::super::slip_search::problem::Problem;
 use super::FitPlots;
 use crate::sim::slips::Law;
 
@@ -38,7 +35,7 @@ const SHORTEST_BLOCK: usize = 10;
 
 impl FitPlots<'_> {
     /// Bands of a candidate: all s of its cell give the same slips, so `place` (0..1) takes one of them.
-    fn optimum(&self, c: &Found, place: f64) -> Optimum {
+    fn optimum(&self, c: &Candidate, place: f64) -> Optimum {
         let [low, high] = [c.cells[0][0], c.cells[0][1].min(c.s.max(1.0))];
         let fd = c.fit.fd;
         let s = (low + place * (high - low)).max(2.0 * fd);
@@ -49,7 +46,7 @@ impl FitPlots<'_> {
     /// several valleys of the error, not how sure the answer is. Costs as much as an estimate.
     #[must_use]
     pub fn restart(&self, seed: u64) -> Option<Optimum> {
-        let valve = match self.law {
+        let valve = match self.candidate.law {
             Law::He => ValveChoice::He,
             Law::Tracking => ValveChoice::Tracking,
         };
@@ -63,7 +60,7 @@ impl FitPlots<'_> {
     #[must_use]
     pub fn bootstrap(&self, count: usize, seed: u64) -> Vec<Optimum> {
         let mut rng = seeded_rng(seed, 12);
-        let residual = self.fits(self.class).residual(&self.candidate);
+        let residual = self.residual();
         let n = residual.len();
         let block = (self.normalised.period.round() as usize).clamp(SHORTEST_BLOCK.min(n), (n / 4).max(1));
         let from = self.normalised.from.min(self.normalised.pv.len());
@@ -81,28 +78,13 @@ impl FitPlots<'_> {
     }
 
     /// The answer after a few steps from where it is on another draw of the record.
-    fn found_again(&self, normalised: &NormalisedRecord, rng: &mut ChaCha8Rng) -> Option<Found> {
-        let problem = Problem::new(normalised, self.sign);
-        let points = problem.points();
-        let mut view = problem.view(0.0, points);
-        let mut evaluator = Evaluator::new(&problem, self.law, self.class, points);
-        let first =
-            evaluator.met(&mut view, [self.candidate.s, self.candidate.j], self.candidate.start, &self.fit())?;
-        let found = random_steps(&mut evaluator, &mut view, first, FINE_STEPS, Nearness::USUAL, rng);
-        evaluator.settle(&mut view, &found)
-    }
-
-    /// The process of the answer, on the lattice.
-    fn fit(&self) -> LatticeFit {
-        let shape = &self.candidate.fit.shape;
-        let tau = |slot: usize| lattice_index(libm::exp(shape[slot]));
-        let places = match self.class {
-            Class::Integrating => [0; 2],
-            Class::Second => [tau(0), tau(1)],
-            Class::First | Class::LagIntegrating => [tau(0); 2],
-        };
-        let (fit, lag) = (&self.candidate.fit, self.class.lag(shape));
-        LatticeFit { sse: fit.sse, gain: fit.gain, fd: fit.fd, places, delay: lag as usize, fraction: lag.fract() }
+    fn found_again(&self, normalised: &NormalisedRecord, rng: &mut ChaCha8Rng) -> Option<Candidate> {
+        let c = &self.candidate;
+        on_whole_record(normalised, self.sign, c.law, c.class, |evaluator, view| {
+            let first = evaluator.met(view, [c.s, c.j], c.start, &c.fit)?;
+            let found = random_steps(evaluator, view, first, FINE_STEPS, Nearness::USUAL, rng);
+            evaluator.settle(view, &found)
+        })
     }
 }
 

@@ -1,8 +1,7 @@
 //! The error over the plane of the bands, every process parameter at its best: the toolbox's error map.
 
-use super::super::candidate::{Candidate, Effort};
-use super::super::class::Shape;
-use super::super::frictionless;
+use super::super::slip_search::interval::centred;
+use super::super::surface::Surface;
 use super::{FitPlots, class_of};
 
 /// One cell of an [`ErrorMap`].
@@ -35,10 +34,6 @@ pub struct ErrorMap {
 
 /// Share of the way from the least squared error to that without friction within which a cell is still suggested.
 const SUGGESTED: f64 = 0.1;
-/// Gauss-Newton steps in a cell, and first positions of the stem.
-const STEPS: usize = 4;
-const STARTS: usize = 2;
-
 /// Places of a cell besides its middle, within the triangle.
 fn around([s, j]: [f64; 2], step: f64) -> Vec<[f64; 2]> {
     let quarter = 0.25 * step;
@@ -51,50 +46,31 @@ impl FitPlots<'_> {
     /// cell has an error.
     #[must_use]
     pub fn error_map(&self, order: u8, step: f64) -> Option<ErrorMap> {
-        let class = class_of(order, self.class.integrates());
-        let mut fits = self.fits(class);
-        let own = class.clamp(self.shape_in(class), &self.normalised.limits);
-        let [c_s, c_j] = self.candidate.centred();
-        let slot = class.shape_len() - 1;
-        let mut cells = Vec::new();
-        let plain = frictionless::best(&self.normalised, &self.target, class, self.sign, 1)?;
-        let zero = Cell { fs: 0.0, fd: 0.0, rms: Some(self.rms(plain.sse)) };
-        cells.push(zero);
+        let law = self.candidate.law;
+        let class = class_of(order, self.candidate.class.integrates());
+        let mut surface = Surface::of_sign(self.record, &self.options, law, class, Some(self.sign))?;
+        let own = self.evaluate(|evaluator, view| {
+            let own = self.in_order(order, evaluator, view)?;
+            Some((centred(&own), self.rms(evaluator.polish(view, &own)?.sse)))
+        });
+        let mut rms = |[s, j]: [f64; 2]| surface.mse(0.5 * (s + j) * self.span, 0.5 * (s - j) * self.span).sqrt();
+        let mut cells = vec![Cell { fs: 0.0, fd: 0.0, rms: Some(rms([0.0; 2])) }];
         let count = (1.0 / step.max(1e-3) + 1e-9).floor() as u32;
-        let mut near: Vec<Shape> = Vec::new();
         for a in 1..=count {
-            let mut column: Vec<Shape> = Vec::new();
             for b in 0..=a.min(count - a) {
                 let (fs, fd) = (f64::from(a) * step, f64::from(b) * step);
-                let (s, j) = (fs + fd, fs - fd);
-                // The ridge: a later slip with a shorter lag looks alike.
-                let mut ridge = own;
-                ridge[slot] -= (s - c_s) / self.normalised.rate.max(1e-6);
-                let mut shapes = vec![own, class.clamp(ridge, &self.normalised.limits), plain.shape];
-                shapes.extend(column.last().into_iter().chain(near.get(b as usize)));
-                let mut best: Option<Candidate> = None;
-                let effort = Effort::of(STEPS);
-                let starts = self.normalised.starts(fs, STARTS).into_iter().chain([self.candidate.start]);
-                for start in starts {
-                    let found = fits.fit_exactly([s, j], start, &shapes, effort);
-                    best = found.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)).or(best);
-                }
+                let middle = [fs + fd, fs - fd];
                 // Valleys are narrower than cells: a cell is worth its best place.
-                if let Some(middle) = best {
-                    let inside = (c_s - s).abs() <= step && (c_j - j).abs() <= step;
-                    let own_place = inside.then_some([c_s, c_j]);
-                    for [s, j] in around([s, j], step).into_iter().chain(own_place) {
-                        let shapes = [middle.fit.shape, own];
-                        let effort = Effort { hopeless: 4.0 * middle.fit.sse, ..Effort::of(STEPS / 2) };
-                        let found = fits.fit_exactly([s, j], middle.start, &shapes, effort);
-                        best = found.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)).or(best);
-                    }
+                let places = around(middle, step).into_iter().chain([middle]);
+                let mut best = places.map(&mut rms).fold(f64::INFINITY, f64::min);
+                if let Some(([s, j], own)) = own
+                    && (s - middle[0]).abs() <= step
+                    && (j - middle[1]).abs() <= step
+                {
+                    best = best.min(own);
                 }
-                column.push(best.map_or(own, |c| c.fit.shape));
-                let rms = best.map(|c| self.rms(c.fit.sse));
-                cells.push(Cell { fs: fs * self.span, fd: fd * self.span, rms });
+                cells.push(Cell { fs: fs * self.span, fd: fd * self.span, rms: best.is_finite().then_some(best) });
             }
-            near = column;
         }
         let known = || cells.iter().filter_map(|c| c.rms.map(|rms| (*c, rms)));
         let (best, least) = known().min_by(|a, b| a.1.total_cmp(&b.1))?;

@@ -10,22 +10,20 @@ mod map;
 pub use draws::{Optimum, RESAMPLES, RESTARTS};
 pub use map::{Cell, ErrorMap};
 
-use super::candidate::{Candidate, CandidateFitter, Effort, NormalisedRecord};
+use super::candidate::NormalisedRecord;
 use super::choice::Options;
-use super::class::{Class, Shape};
-use super::fit::Target;
-use super::frictionless;
+use super::class::Class;
+use super::evaluator::{View, lattice_index};
 use super::normalise::normalise;
 use super::quantify::Estimate;
-use super::slip_search::answer::{EARNED, FITTED_SHARE};
+use super::slip_search::answer::{EARNED, FITTED_SHARE, held_out};
+use super::slip_search::candidate::{Candidate, LatticeFit};
+use super::slip_search::evaluator::{Evaluator, Polished, on_whole_record};
+use super::slip_search::part::frictionless;
+use super::slip_search::problem::EVEN_STARTS;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{Law, Sequence};
-
-/// Gauss-Newton steps for each first position of the stem.
-const GAUSS_NEWTON_STEPS: usize = 6;
-/// First positions of the stem that are tried.
-const STEM_STARTS: usize = 9;
 
 /// Valve and process of an estimate.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,15 +72,15 @@ const fn class_of(order: u8, integrating: bool) -> Class {
 }
 
 impl Model {
-    /// Shape of the process, points.
-    fn shape(&self, record: &Record) -> Shape {
-        let class = class_of(self.order, self.integrating);
-        let mut shape = [0.0; 3];
-        for (slot, tau) in shape.iter_mut().zip(&self.time_constants_s) {
-            *slot = libm::log((tau / record.point_s()).max(1e-3));
-        }
-        shape[class.shape_len() - 1] = (self.dead_time_s / record.ts_s + 1.0) / record.box_samples as f64;
-        shape
+    /// The process, its time constants on the lattice.
+    fn process(&self, record: &Record) -> LatticeFit {
+        let place = |index: usize| {
+            let tau_s = self.time_constants_s.get(index).or_else(|| self.time_constants_s.first());
+            lattice_index((tau_s.copied().unwrap_or(0.0) / record.point_s()).max(1e-3))
+        };
+        let lag = (self.dead_time_s / record.ts_s + 1.0) / record.box_samples as f64;
+        let (delay, fraction) = (lag as usize, lag.fract());
+        LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places: [place(0), place(1)], delay, fraction }
     }
 }
 
@@ -92,10 +90,10 @@ pub struct FitPlots<'a> {
     record: &'a Record,
     options: Options,
     normalised: NormalisedRecord,
-    target: Target,
+    /// The valve, with its process on the lattice.
     candidate: Candidate,
-    law: Law,
-    class: Class,
+    /// The process, its time constants off the lattice.
+    process: Polished,
     sign: f64,
     span: f64,
     deviation: f64,
@@ -145,19 +143,24 @@ impl<'a> FitPlots<'a> {
             return None;
         }
         let normalised = normalise(record, options, span, deviation);
-        let target = Target::new(&normalised.pv, 0.0, normalised.from);
-        let class = class_of(model.order, model.integrating);
-        let (law, sign) = (model.law, if model.gain < 0.0 { -1.0 } else { 1.0 });
-        let told = class.clamp(model.shape(record), &normalised.limits);
-        let plain = frictionless::best(&normalised, &target, class, sign, 1).map_or(told, |f| f.shape);
+        let (class, sign) = (class_of(model.order, model.integrating), if model.gain < 0.0 { -1.0 } else { 1.0 });
         let bands = [model.s / span, model.j.clamp(0.0, model.s) / span];
-        let candidate =
-            refit(&mut CandidateFitter::new(&normalised, law, class, &target, sign), bands, &[told, plain])?;
-        Some(Self { record, options: *options, normalised, target, candidate, law, class, sign, span, deviation })
+        let told = model.process(record);
+        let (candidate, process) = on_whole_record(&normalised, sign, model.law, class, |evaluator, view| {
+            let candidate = refit(evaluator, view, bands, &told)?;
+            Some((candidate, evaluator.polish(view, &candidate)?))
+        })?;
+        Some(Self { record, options: *options, normalised, candidate, process, sign, span, deviation })
     }
 
-    fn fits(&self, class: Class) -> CandidateFitter<'_> {
-        CandidateFitter::new(&self.normalised, self.law, class, &self.target, self.sign)
+    /// Does some `work` with an evaluator of the record.
+    fn evaluate<T>(&self, work: impl FnOnce(&mut Evaluator<'_>, &mut View) -> T) -> T {
+        on_whole_record(&self.normalised, self.sign, self.candidate.law, self.candidate.class, work)
+    }
+
+    /// What the model leaves of PV from the first valid point on, standard deviations of PV.
+    fn residual(&self) -> Vec<f64> {
+        self.evaluate(|evaluator, view| evaluator.residual(view, &self.candidate, &self.process))
     }
 
     /// Span of OP, OP units, the upper limit of fs + fd.
@@ -168,7 +171,7 @@ impl<'a> FitPlots<'a> {
 
     /// Number of valid points.
     fn count(&self) -> f64 {
-        self.target.y.len().max(1) as f64
+        self.normalised.pv.len().saturating_sub(self.normalised.from).max(1) as f64
     }
 
     /// Root mean square, PV units, of a squared error in normalised units.
@@ -180,13 +183,12 @@ impl<'a> FitPlots<'a> {
     #[must_use]
     pub fn free_run(&self) -> FreeRun {
         let c = &self.candidate;
-        let residual = self.fits(self.class).residual(c);
         let mut sequence = Sequence::default();
         let q = &self.normalised;
-        sequence.run(self.law, &q.path, q.per_point, c.s, c.j, q.first_slip(c.start));
+        sequence.run(c.law, &q.path, q.per_point, c.s, c.j, q.first_slip(c.start));
         let middle = stats::mean(&self.record.op_path);
-        let stem = sequence.at.iter().zip(&sequence.direction).map(|(at, direction)| at - c.fit.fd * direction);
-        let residual: Vec<f64> = residual.iter().map(|r| r * self.deviation).collect();
+        let stem = sequence.at.iter().zip(&sequence.direction).map(|(at, direction)| at - self.process.fd * direction);
+        let residual: Vec<f64> = self.residual().iter().map(|r| r * self.deviation).collect();
         let measured = &self.record.pv[q.from.min(self.record.pv.len())..];
         FreeRun {
             from: q.from,
@@ -197,69 +199,46 @@ impl<'a> FitPlots<'a> {
     }
 
     /// The candidate with another order, refitted.
-    fn in_order(&self, order: u8) -> Option<Candidate> {
-        let class = class_of(order, self.class.integrates());
-        let mut fits = self.fits(class);
-        let mut shapes = vec![self.shape_in(class)];
-        if class == Class::Second && self.class == Class::First {
-            // The first order itself, with a second lag too short to matter.
-            let shape = &self.candidate.fit.shape;
-            shapes.push([shape[0], libm::log(self.normalised.limits.tau[0]), shape[1] - self.normalised.limits.tau[0]]);
-        }
-        let settled = shapes.into_iter().filter_map(|shape| {
-            let mut start = self.candidate;
-            start.fit.shape = class.clamp(shape, &self.normalised.limits);
-            fits.settle(&start)
-        });
-        settled.min_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse))
-    }
-
-    /// The candidate's shape in another class of the same family.
-    fn shape_in(&self, class: Class) -> Shape {
-        let shape = &self.candidate.fit.shape;
-        match (self.class.order(), class.order()) {
-            (1, 2) if self.class.integrates() => class.start(self.normalised.period, self.class.lag(shape)),
-            (1, 2) => class.start(libm::exp(shape[0]), self.class.lag(shape)),
-            (2, 1) => reduced(self.class, class, shape),
-            _ => *shape,
-        }
+    fn in_order(&self, order: u8, evaluator: &mut Evaluator<'_>, view: &mut View) -> Option<Candidate> {
+        let own = &self.candidate;
+        let class = class_of(order, own.class.integrates());
+        let refitted = evaluator.in_class(view, own, class);
+        // The first order itself, with a second lag too short to matter.
+        let short = lattice_index(self.normalised.limits.tau[0]);
+        let fit = LatticeFit { places: [own.fit.places[0], short], ..own.fit };
+        let same = (own.class == Class::First && class == Class::Second)
+            .then(|| evaluator.settle(view, &Candidate { class, fit, ..*own }))
+            .flatten();
+        refitted.into_iter().chain(same).min_by(|a, b| a.sse().total_cmp(&b.sse()))
     }
 
     /// The figures for either order of the process, with the same valve.
     #[must_use]
     pub fn orders(&self) -> OrderChart {
         let figures = [1, 2].into_iter().filter_map(|order| {
-            let fitted = self.in_order(order)?;
-            let mut fits = self.fits(class_of(order, self.class.integrates()));
-            let held_out = fits.held_out(&fitted, FITTED_SHARE);
+            let (fitted, held_out) = self.evaluate(|evaluator, view| {
+                let fitted = self.in_order(order, evaluator, view)?;
+                Some((evaluator.polish(view, &fitted)?, held_out(evaluator, 0.0, &fitted)))
+            })?;
             let held_out_rms = held_out.sqrt() * self.deviation;
-            held_out_rms.is_finite().then_some(OrderFigures {
-                order,
-                fitted_rms: self.rms(fitted.fit.sse),
-                held_out_rms,
-            })
+            held_out_rms.is_finite().then_some(OrderFigures { order, fitted_rms: self.rms(fitted.sse), held_out_rms })
         });
         OrderChart { figures: figures.collect(), fitted_share: FITTED_SHARE, must_remove: EARNED }
     }
 }
 
-/// The best candidate with the bands (s, j), spans of OP, its process fitted from the best of `shapes`.
-fn refit(fits: &mut CandidateFitter<'_>, [s, j]: [f64; 2], shapes: &[Shape]) -> Option<Candidate> {
-    let effort = Effort::of(GAUSS_NEWTON_STEPS);
-    let mut best: Option<Candidate> = None;
-    for start in fits.normalised.starts(0.5 * (s + j), STEM_STARTS) {
-        let fitted = fits.fit(s, j, start, shapes, effort);
-        if let Some(fitted) = fitted.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)) {
-            best = Some(fitted);
+/// The best candidate with the `bands` (s, j), spans of OP, its process fitted from the one `told` and from that without
+/// friction.
+fn refit(evaluator: &mut Evaluator<'_>, view: &mut View, [s, j]: [f64; 2], told: &LatticeFit) -> Option<Candidate> {
+    let class = evaluator.class;
+    let without = frictionless(evaluator, view, class);
+    let mut found = Vec::new();
+    for start in evaluator.problem.starts(0.5 * (s + j), &EVEN_STARTS) {
+        for near in [Some(told), without.as_ref()].into_iter().flatten() {
+            found.extend(evaluator.met(view, [s, j], start, near));
         }
     }
-    fits.settle(&best?)
-}
-
-/// The simpler class' shape whose lag takes the place of the second lag.
-fn reduced(class: Class, simpler: Class, shape: &Shape) -> Shape {
-    let lost = libm::exp(shape[if class == Class::Second { 1 } else { 0 }]);
-    simpler.start(libm::exp(shape[0]), class.lag(shape) + lost)
+    found.into_iter().min_by(|a, b| a.sse().total_cmp(&b.sse()))
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The pictures' numbers on loops whose valve and process are known.
 
 use super::*;
-use crate::ident::class::Scratch;
+use crate::ident::class::Shape;
 use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
 use crate::sim::noise::Noise;
 use crate::sim::valve::he_step;
@@ -22,8 +22,8 @@ fn record(class: Class, shape: Shape) -> (Record, Vec<f64>) {
             position
         })
         .collect();
-    let (mut pv, mut unused, mut noise) = (Vec::new(), Vec::new(), Noise::new(7, 1));
-    class.respond_pair(&shape, [&stem, &stem], &mut Scratch::default(), [&mut pv, &mut unused]);
+    let mut noise = Noise::new(7, 1);
+    let pv = class.respond(&shape, &stem);
     let pv = pv.iter().map(|x| 1.5 * x + NOISE * noise.gaussian()).collect();
     (Record::uniform(2.0, op, pv), stem)
 }

@@ -6,13 +6,11 @@ use super::classes::classes_of;
 use super::local_search::{Nearness, along_ridge, neighbours, random_steps};
 use super::rivals;
 use super::stages::{Found, Search};
-use crate::ident::candidate::{Candidate as Plain, CandidateFitter};
 use crate::ident::choice::{ModelChoice, Options};
 use crate::ident::class::Class;
 use crate::ident::evaluator::View;
-use crate::ident::fit::{Fitted, Target};
 use crate::ident::random::seeded_rng;
-use crate::ident::slip_search::evaluator::{Evaluator, Polished, shape_of};
+use crate::ident::slip_search::evaluator::{Evaluator, Polished};
 use crate::signal::stats;
 
 /// Share of the error on data not fitted to that a second lag must remove to stay in the answer.
@@ -160,8 +158,8 @@ impl Search<'_, '_> {
         // Neighbours may be the simpler model's own best slips.
         let near = Nearness::USUAL;
         let poor = neighbours(evaluator, &mut view, poor, 2, near);
-        let of_rich = held_out(evaluator, &view, &rich);
-        let of_poor = held_out(evaluator, &view, &poor);
+        let of_rich = held_out(evaluator, rho, &rich);
+        let of_poor = held_out(evaluator, rho, &poor);
         Some(if of_rich > (1.0 - EARNED) * of_poor { poor } else { rich })
     }
 
@@ -212,30 +210,17 @@ impl Search<'_, '_> {
     }
 }
 
-/// Mean squared error on what follows the first part of the record when the process is fitted to that part alone.
-fn held_out(evaluator: &mut Evaluator<'_>, view: &View, of: &Candidate) -> f64 {
-    let Some(process) = evaluator.polish(view, of) else { return f64::INFINITY };
-    let normalised = evaluator.problem.normalised;
-    let target = Target::new(&normalised.pv, view.rho(), normalised.from);
-    let mut fits = CandidateFitter::new(normalised, of.law, of.class, &target, evaluator.problem.sign);
-    fits.held_out(&as_plain(of, &process), FITTED_SHARE)
-}
-
-/// A candidate as the plain pass over samples holds it.
-#[must_use]
-pub(crate) fn as_plain(of: &Candidate, process: &Polished) -> Plain {
-    let shape = shape_of(of.class, process.taus, process.lag);
-    let fit = Fitted { sse: process.sse, gain: process.gain, fd: process.fd, memory: [0.0; 3], shape };
-    Plain {
-        s: of.s,
-        j: of.j,
-        start: of.start,
-        s_cell: of.cells[0],
-        j_cell: of.cells[1],
-        slips: of.slips,
-        reversals: of.reversals,
-        fit,
-    }
+/// Mean squared error, behind `1 - rho q^-1`, on what follows the first [`FITTED_SHARE`] of the record when the process is
+/// fitted to that part alone.
+pub(crate) fn held_out(evaluator: &mut Evaluator<'_>, rho: f64, of: &Candidate) -> f64 {
+    let (from, points) = (evaluator.problem.normalised.from.max(1), evaluator.points);
+    let fitted = (FITTED_SHARE * (points - from) as f64) as usize;
+    let mut first = evaluator.problem.view_of(rho, points, &[[from, from + fitted]]);
+    let Some(found) = evaluator.in_class(&mut first, of, of.class) else { return f64::INFINITY };
+    let Some(process) = evaluator.polish(&first, &found) else { return f64::INFINITY };
+    let left = evaluator.residual(&first, &found, &process);
+    let later: Vec<f64> = left.windows(2).skip(fitted.max(1) - 1).map(|w| w[1] - rho * w[0]).collect();
+    later.iter().map(|e| e * e).sum::<f64>() / later.len().max(1) as f64
 }
 
 /// The view that an answer was fitted to.

@@ -5,7 +5,7 @@ use super::evaluator::{Evaluator, Polished};
 use crate::ident::candidate::Start;
 use crate::ident::class::Class;
 use crate::ident::evaluator::{LATTICE_STEP, Table, View, lattice_index};
-use crate::ident::fit::{BandProfile, Freedom};
+use crate::ident::kinetic_band::{BandProfile, Freedom};
 
 /// Tables of time constants at and a little beside those of a process, for many fits nearby.
 #[derive(Debug, Clone)]

@@ -7,7 +7,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use super::problem::Problem;
-use crate::ident::fit::{Freedom, best_band};
+use crate::ident::kinetic_band::{Freedom, best_band};
 use crate::sim::steps::Step;
 
 /// Time constants side by side.
@@ -358,7 +358,7 @@ struct Own {
 mod tests {
     use super::*;
     use crate::ident::Options;
-    use crate::ident::class::{Class, Scratch};
+    use crate::ident::class::Class;
     use crate::ident::least_squares::Gram;
     use crate::ident::normalise::normalise;
     use crate::record::Record;
@@ -386,9 +386,8 @@ mod tests {
             for step in &steps.list {
                 valve[step.point as usize..].iter_mut().for_each(|v| *v += step.level - fd * step.direction);
             }
-            let (mut x, mut other, mut work) = (Vec::new(), Vec::new(), Scratch::default());
             let shape = [libm::log(seen.tau), seen.lag, 0.0];
-            Class::First.respond_pair(&shape, [&valve, &valve], &mut work, [&mut x, &mut other]);
+            let x = Class::First.respond(&shape, &valve);
             let start = scan.from + seen.lag as usize;
             let counted = start..start + scan.length;
             let filtered = |x: &[f64]| -> Vec<f64> { counted.clone().map(|k| x[k] - rho * x[k - 1]).collect() };

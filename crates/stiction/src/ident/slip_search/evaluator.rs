@@ -2,10 +2,10 @@
 
 use super::candidate::{Candidate, LatticeFit};
 use super::problem::Problem;
-use crate::ident::candidate::{Start, band_freedom};
-use crate::ident::class::{Class, Scratch, Shape};
+use crate::ident::candidate::{NormalisedRecord, Start, band_freedom};
+use crate::ident::class::{Class, Shape};
 use crate::ident::evaluator::{Best, HeldSums, Reduced, Table, View, lattice_index, lattice_tau, reduce};
-use crate::ident::fit::Freedom;
+use crate::ident::kinetic_band::Freedom;
 use crate::ident::least_squares::Gram;
 use crate::sim::slips::{Law, Stem};
 use crate::sim::steps::Steps;
@@ -67,6 +67,19 @@ pub(crate) struct Polished {
     pub taus: [f64; 2],
     /// Dead time and the sample that a held signal takes to act, points.
     pub lag: f64,
+}
+
+/// Does some `work` with an evaluator of a whole record and its plain view.
+pub(crate) fn on_whole_record<T>(
+    normalised: &NormalisedRecord,
+    sign: f64,
+    law: Law,
+    class: Class,
+    work: impl FnOnce(&mut Evaluator<'_>, &mut View) -> T,
+) -> T {
+    let problem = Problem::new(normalised, sign);
+    let points = problem.points();
+    work(&mut Evaluator::new(&problem, law, class, points), &mut problem.view(0.0, points))
 }
 
 impl<'a> Evaluator<'a> {
@@ -518,8 +531,7 @@ impl<'a> Evaluator<'a> {
         let (class, n) = (self.class, view.points());
         let valve = self.signal(n, process.fd);
         let shape = shape_of(class, process.taus, process.lag);
-        let (mut out, mut other, mut work) = (Vec::new(), Vec::new(), Scratch::default());
-        class.respond_pair(&shape, [&valve, &valve], &mut work, [&mut out, &mut other]);
+        let out = class.respond(&shape, &valve);
         let from = view.from();
         let pv = self.problem.pv();
         let mut left: Vec<f64> = (from..n).map(|k| pv[k] - process.gain * out[k]).collect();

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use super::local_search::{Nearness, along_ridge, random_steps};
 use crate::ident::class::Class;
 use crate::ident::evaluator::{View, lattice_index};
-use crate::ident::fit::Freedom;
+use crate::ident::kinetic_band::Freedom;
 
 /// Candidates that go to another class together.
 pub(super) const FOLLOWERS: usize = 8;

@@ -3,7 +3,7 @@
 use crate::ident::candidate::{NormalisedRecord, Start};
 use crate::ident::class::Class;
 use crate::ident::evaluator::{View, lattice_index};
-use crate::ident::fit::Freedom;
+use crate::ident::kinetic_band::Freedom;
 use crate::sim::steps::{Path, Steps};
 
 /// What stands between the stem and the process of a model structure, its parameters held: a rate limit, a characteristic.
@@ -34,6 +34,8 @@ pub struct Problem<'a> {
     records: [Vec<u32>; 2],
 }
 
+/// Nine first positions of the stem, as shares of the static band from OP's first value.
+pub(crate) const EVEN_STARTS: [f64; 9] = [-0.9, -0.675, -0.45, -0.225, 0.0, 0.225, 0.45, 0.675, 0.9];
 /// Fewest moves of the stem from which a model is fitted.
 const LEAST_MOVES: usize = 3;
 /// Most moves in a period: a stem that follows every sample is no valve that sticks.
@@ -103,11 +105,15 @@ impl<'a> Problem<'a> {
     /// PV's first `points` behind the filter `1 - rho q^-1`.
     #[must_use]
     pub(crate) fn view(&self, rho: f64, points: usize) -> View {
-        let from = self.normalised.from;
-        let whole = [[from, points]];
-        let counted = if self.counted.is_empty() { &whole[..] } else { &self.counted };
+        let whole = [[self.normalised.from, points]];
+        self.view_of(rho, points, if self.counted.is_empty() { &whole } else { &self.counted })
+    }
+
+    /// The same, with the stretches `counted` fitted.
+    #[must_use]
+    pub(crate) fn view_of(&self, rho: f64, points: usize, counted: &[[usize; 2]]) -> View {
         let loads: Vec<&[f64]> = self.loads.iter().map(|l| &l[..points]).collect();
-        View::of_stretches(&self.pv()[..points], &loads, rho, from, counted)
+        View::of_stretches(&self.pv()[..points], &loads, rho, self.normalised.from, counted)
     }
 
     /// First point of OP that lies so far from its first value, spans.
@@ -152,19 +158,18 @@ mod tests {
     use crate::record::Record;
 
     #[test]
-    fn starts_are_those_that_a_walk_along_op_finds() {
+    fn a_start_is_where_op_first_leaves_the_band() {
         let op: Vec<f64> =
             (0..700).map(|k| libm::sin(f64::from(k) * 0.05) + 0.4 * libm::sin(f64::from(k) * 0.31)).collect();
         let pv: Vec<f64> = op.iter().map(|u| 2.0 * u).collect();
         let normalised = normalise(&Record::uniform(1.0, op, pv), &Options::default(), 2.0, 1.0);
         let problem = Problem::new(&normalised, 1.0);
-        for fs in [0.02, 0.1, 0.3, 0.6, 0.9] {
-            let mut found = problem.starts(fs, &[-0.9, 0.0, 0.9]);
-            let mut walked = normalised.starts(fs, 3);
-            for list in [&mut found, &mut walked] {
-                list.sort_by_key(|s| (s.up, s.record));
-            }
-            assert_eq!(found, walked, "{fs}");
+        for fs in [0.02, 0.1, 0.3, 0.6] {
+            let start = problem.starts(fs, &[0.0])[0];
+            let first = normalised.path[0];
+            let left = normalised.path.iter().find(|op| (*op - first).abs() > fs).unwrap();
+            assert_eq!((normalised.records[usize::from(!start.up)][start.record], start.up), (*left, *left > first));
         }
+        assert!(problem.starts(2.0, &[0.0]).is_empty());
     }
 }
