@@ -4,8 +4,8 @@
 //! OP → positioner lag → friction → rate limit → stops → play → characteristic → dead time → lag → second lag → zero,
 //! and what disturbs PV. A [`Plan`] says which blocks are there; every block left at its neutral value is the base.
 
-use crate::ident::candidate::SlipEnd;
 use crate::ident::class::Class;
+use crate::ident::normalised::SlipEnd;
 use crate::sim::actuator::{bent, play_step, rate_step, stop_step};
 use crate::sim::process::separated;
 use crate::sim::slips::{Law, Stroke};

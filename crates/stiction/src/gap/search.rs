@@ -13,8 +13,8 @@ use super::problem::{Problem, View};
 use super::settle::{FAR, LAST, NEAR, clamped, fitted_to};
 use super::structure::Structure;
 use super::types::Stage;
-use crate::ident::candidate::NormalisedRecord;
 use crate::ident::class::Class;
+use crate::ident::normalised::NormalisedRecord;
 use crate::ident::random::{moved, normal, seeded_rng, uniform};
 use crate::sim::slips::FirstSlip;
 
@@ -317,7 +317,7 @@ fn over([low, high]: [f64; 2], up: i32, now: f64) -> Option<f64> {
 /// First slips at the records of OP beside the one at hand.
 fn nearby_starts(normalised: &NormalisedRecord, first: FirstSlip) -> Vec<FirstSlip> {
     let direction = first.direction;
-    let list = &normalised.records[usize::from(direction < 0.0)];
+    let list = &normalised.extremes[usize::from(direction < 0.0)];
     let here = list.iter().take_while(|r| direction * (first.threshold - **r) >= 0.0).count();
     let at = |record: usize| {
         let threshold = match record {
@@ -534,7 +534,7 @@ fn another_start(normalised: &NormalisedRecord, first: FirstSlip, rng: &mut ChaC
     if anywhere {
         direction = if uniform(rng) < 0.5 { 1.0 } else { -1.0 };
     }
-    let list = &normalised.records[usize::from(direction < 0.0)];
+    let list = &normalised.extremes[usize::from(direction < 0.0)];
     let here = list.iter().take_while(|r| direction * (first.threshold - **r) >= 0.0).count();
     let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
     let at = if anywhere {

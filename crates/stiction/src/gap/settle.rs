@@ -6,8 +6,8 @@ use super::effects::{Reach, Unit};
 use super::evaluator::{Evaluator, Place, Prepared};
 use super::problem::{Problem, View};
 use super::structure::Structure;
-use crate::ident::candidate::{MOST_OVERSHOOT, SlipEnd};
 use crate::ident::evaluator::{LATTICE_STEP, lattice_tau};
+use crate::ident::normalised::{MOST_OVERSHOOT, SlipEnd};
 
 /// Settings of the local search in what is continuous.
 struct Settings {

@@ -13,8 +13,8 @@ use super::settle::clamped;
 use super::structure::Structure;
 use super::valve_signal::HeldPlan;
 use crate::ident::ModelChoice;
-use crate::ident::candidate::NormalisedRecord;
 use crate::ident::class::Class;
+use crate::ident::normalised::NormalisedRecord;
 use crate::ident::slip_search::candidate::Candidate;
 use crate::ident::slip_search::problem::{BehindStem, Problem as SlipProblem};
 use crate::ident::slip_search::settings::SearchSettings;
@@ -89,7 +89,7 @@ fn normalised_of(problem: &Problem, search: &Search, plan: &Plan) -> Option<Norm
         let plain = &problem.normalised;
         normalised.per_point = lag_path(&plain.path, plain.per_point, plan.positioner, &mut normalised.path);
         normalised.mean = box_means(&normalised.path, normalised.per_point);
-        normalised.records = NormalisedRecord::records_of(&normalised.path);
+        normalised.extremes = NormalisedRecord::running_extremes(&normalised.path);
     }
     normalised.stroke = plan.stroke;
     normalised.slip_end = plan.slip_end();

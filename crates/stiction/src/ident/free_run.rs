@@ -3,11 +3,11 @@
 //! Valve and process stay as they are. Only what no earlier record can know is found anew: the level (for an integrating
 //! process its drift as well), the process' own memory of what went before, and where the stem stood at the start.
 
-use super::candidate::{NormalisedRecord, Start};
 use super::choice::Options;
 use super::class::{Class, Limits, Shape};
 use super::least_squares::Gram;
-use super::normalise::normalise;
+use super::normalised::normalise;
+use super::normalised::{NormalisedRecord, Start};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{Law, Sequence};
@@ -133,11 +133,11 @@ impl Run<'_> {
     /// Every first slip that a stem within the band can make: each new record of OP up to two bands away.
     fn starts(&self, fs: f64) -> Vec<Start> {
         let mut starts = Vec::new();
-        for (list, up) in self.normalised.records.iter().zip([true, false]) {
+        for (list, up) in self.normalised.extremes.iter().zip([true, false]) {
             let near = |r: &&f64| (**r - list[0]).abs() <= 2.0 * fs;
             let count = list.iter().take_while(near).count();
             let every = count.div_ceil(STARTS).max(1);
-            starts.extend((0..count.min(list.len())).step_by(every).map(|record| Start { up, record, place: 0.5 }));
+            starts.extend((0..count.min(list.len())).step_by(every).map(|extreme| Start { up, extreme, place: 0.5 }));
         }
         starts
     }

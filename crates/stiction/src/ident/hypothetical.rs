@@ -5,11 +5,12 @@
 //! stay as they were. OP stays too, although the controller would have answered: it would have gone farther until the
 //! stem moved, so a large band looks larger and moves the stem less often here than it would have done.
 
-use super::candidate::{MIN_SLIPS, NormalisedRecord, Start};
 use super::choice::Options;
 use super::class::Class;
 use super::evaluator::lattice_tau;
-use super::normalise::normalise;
+use super::kinetic_band::MIN_SLIPS;
+use super::normalised::normalise;
+use super::normalised::{NormalisedRecord, Start};
 use super::quantify::Estimate;
 use super::slip_search::answer::improvement;
 use super::slip_search::candidate::LatticeFit;

@@ -2,6 +2,8 @@
 //! are solved and not searched (variable projection, Golub and Pereyra 1973).
 
 use super::class::Limits;
+use super::normalised::{MOST_OVERSHOOT, SlipEnd};
+use crate::sim::slips::Sequence;
 
 /// What a fit may do.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,6 +16,37 @@ pub struct Freedom {
     pub sign: f64,
     /// Limits of time constants and lag.
     pub limits: Limits,
+}
+
+/// Fewest moves of the stem from which a model is fitted.
+pub(crate) const MIN_SLIPS: usize = 3;
+
+/// The bands fd that the slips of `sequence` leave open to (s, j).
+#[must_use]
+pub(crate) fn freedom(sequence: &Sequence, bands: [f64; 2], sign: f64, limits: Limits, slip_end: SlipEnd) -> Freedom {
+    band_freedom([sequence.s_cell, sequence.j_cell], bands, sign, limits, slip_end)
+}
+
+/// The bands fd that slips with these cells of s and j leave open to (s, j).
+#[must_use]
+pub(crate) fn band_freedom(
+    cells: [[f64; 2]; 2],
+    [s, j]: [f64; 2],
+    sign: f64,
+    limits: Limits,
+    slip_end: SlipEnd,
+) -> Freedom {
+    let [[s_low, s_high], [j_low, j_high]] = cells;
+    let s_high = if s_high.is_finite() { s_high } else { s.max(1.0) };
+    let low = match slip_end {
+        SlipEnd::Short => (0.5 * (s_low - j_high.min(s_high))).max(0.0),
+        SlipEnd::Beyond => {
+            let j_high = if j_high.is_finite() { j_high } else { j.max(3.0 * s) };
+            (0.5 * (s_low - j_high)).max(-MOST_OVERSHOOT * 0.5 * (s + j))
+        }
+    };
+    let high = (0.5 * (s_high - j_low)).max(low);
+    Freedom { fd: [low, high], fd_default: (0.5 * (s - j)).clamp(low, high), sign, limits }
 }
 
 /// Squared error against fd: a quotient of parabolas.
@@ -93,4 +126,23 @@ pub(crate) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom
         return best;
     }
     consider(consider(best, low), high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::slips::{FirstSlip, Law};
+
+    #[test]
+    fn slips_beyond_op_leave_a_band_below_zero_open() {
+        let path: Vec<f64> = (0..600).map(|k| libm::sin(f64::from(k) * 0.05)).collect();
+        let mut sequence = Sequence::default();
+        let (s, j) = (0.3, 0.7);
+        sequence.run(Law::He, &path, 1, s, j, FirstSlip { direction: 1.0, threshold: 0.2 });
+        let limits = Limits { tau: [0.3, 500.0], lag: [0.0, 25.0] };
+        let open = freedom(&sequence, [s, j], 1.0, limits, SlipEnd::Beyond);
+        assert!(open.fd[0] < -0.2 && open.fd[0] <= open.fd_default && open.fd_default <= open.fd[1], "{open:?}");
+        let short = freedom(&sequence, [s, 0.1], 1.0, limits, SlipEnd::Short);
+        assert!(short.fd[0] >= 0.0);
+    }
 }

@@ -4,7 +4,6 @@
 //! process responds with a continuous dead time, and all linear parameters (gain, kinetic band, bias, initial state) are solved
 //! exactly. The search is seeded, bounded in work and scale-free.
 
-pub(crate) mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
@@ -14,7 +13,7 @@ pub mod free_run;
 pub(crate) mod hypothetical;
 pub(crate) mod kinetic_band;
 pub(crate) mod least_squares;
-pub(crate) mod normalise;
+pub(crate) mod normalised;
 pub mod one_step;
 mod quantify;
 pub(crate) mod random;

@@ -1,9 +1,9 @@
 //! From a record to the bands: normalise, search, refine, compare with a fit without stiction.
 
-use super::candidate::NormalisedRecord;
 use super::choice::{Options, ValveChoice};
 use super::class::Class;
-use super::normalise::normalise;
+use super::normalised::NormalisedRecord;
+use super::normalised::normalise;
 use super::sign;
 use super::slip_search::answer::{Answer, improvement, view_of};
 use super::slip_search::candidate::{Candidate, apart};

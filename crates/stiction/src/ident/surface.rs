@@ -24,11 +24,11 @@
 //! [`super::quantify`] searches differently (whole cells of equal slips at once, fd solved, several views of the error). This
 //! surface is for general solvers and error maps.
 
-use super::candidate::{NormalisedRecord, Start};
 use super::choice::Options;
 use super::class::Class;
 use super::evaluator::{View, lattice_index, lattice_tau};
-use super::normalise::normalise;
+use super::normalised::normalise;
+use super::normalised::{NormalisedRecord, Start};
 use super::sign;
 use super::slip_search::candidate::{Candidate, LatticeFit};
 use super::slip_search::coarse_scan::CoarseScan;

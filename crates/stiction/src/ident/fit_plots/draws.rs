@@ -2,9 +2,9 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::super::candidate::NormalisedRecord;
 use super::super::choice::Options;
 use super::super::choice::ValveChoice;
+use super::super::normalised::NormalisedRecord;
 use super::super::quantify::quantify;
 use super::super::random::{seeded_rng, uniform};
 use super::super::slip_search::candidate::Candidate;

@@ -10,11 +10,11 @@ mod map;
 pub use draws::{Optimum, RESAMPLES, RESTARTS};
 pub use map::{Cell, ErrorMap};
 
-use super::candidate::NormalisedRecord;
 use super::choice::Options;
 use super::class::Class;
 use super::evaluator::{View, lattice_index};
-use super::normalise::normalise;
+use super::normalised::NormalisedRecord;
+use super::normalised::normalise;
 use super::quantify::Estimate;
 use super::slip_search::answer::{EARNED, FITTED_SHARE, held_out};
 use super::slip_search::candidate::{Candidate, LatticeFit};

@@ -2,10 +2,10 @@
 
 use super::candidate::Candidate;
 use super::evaluator::{Evaluator, Polished};
-use crate::ident::candidate::Start;
 use crate::ident::class::Class;
 use crate::ident::evaluator::{LATTICE_STEP, Table, View, lattice_index};
 use crate::ident::kinetic_band::{BandProfile, Freedom};
+use crate::ident::normalised::Start;
 
 /// Tables of time constants at and a little beside those of a process, for many fits nearby.
 #[derive(Debug, Clone)]

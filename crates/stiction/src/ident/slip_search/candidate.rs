@@ -1,8 +1,8 @@
 //! One candidate of the search: bands, first slip, and the process that fits best behind the slips they make.
 
-use crate::ident::candidate::Start;
 use crate::ident::class::Class;
 use crate::ident::evaluator::lattice_tau;
+use crate::ident::normalised::Start;
 use crate::sim::slips::Law;
 
 /// A fitted candidate. Sizes in spans of OP, times in points.

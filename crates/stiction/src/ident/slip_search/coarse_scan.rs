@@ -360,7 +360,7 @@ mod tests {
     use crate::ident::Options;
     use crate::ident::class::Class;
     use crate::ident::least_squares::Gram;
-    use crate::ident::normalise::normalise;
+    use crate::ident::normalised::normalise;
     use crate::record::Record;
     use crate::sim::slips::{FirstSlip, Law, Stroke};
     use crate::sim::steps::Steps;

@@ -2,11 +2,12 @@
 
 use super::candidate::{Candidate, LatticeFit};
 use super::problem::Problem;
-use crate::ident::candidate::{NormalisedRecord, Start, band_freedom};
 use crate::ident::class::{Class, Shape};
 use crate::ident::evaluator::{Best, HeldSums, Reduced, Table, View, lattice_index, lattice_tau, reduce};
 use crate::ident::kinetic_band::Freedom;
+use crate::ident::kinetic_band::band_freedom;
 use crate::ident::least_squares::Gram;
+use crate::ident::normalised::{NormalisedRecord, Start};
 use crate::sim::slips::{Law, Stem};
 use crate::sim::steps::Steps;
 

@@ -12,8 +12,8 @@ use super::around::Around;
 use super::candidate::Candidate;
 use super::evaluator::{Evaluator, Polished};
 use super::local_search::across;
-use crate::ident::candidate::Start;
 use crate::ident::evaluator::View;
+use crate::ident::normalised::Start;
 use crate::ident::random::{moved, normal, seeded_rng, uniform};
 use crate::ident::residual::{Whiteness, whiteness};
 use crate::ident::width::{Spread, hull};
@@ -307,11 +307,11 @@ impl<'b, 'a> Looking<'b, 'a> {
                 lag = 1.5 * normal(rng);
                 s -= lag * self.evaluator.problem.normalised.rate;
             } else if kind < 0.95 {
-                let list = self.evaluator.problem.normalised.records[usize::from(!start.up)].len();
+                let list = self.evaluator.problem.normalised.extremes[usize::from(!start.up)].len();
                 let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
                 let up = uniform(rng) < 0.5;
-                start.record =
-                    if up { (start.record + by).min(list.max(1) - 1) } else { start.record.saturating_sub(by) };
+                start.extreme =
+                    if up { (start.extreme + by).min(list.max(1) - 1) } else { start.extreme.saturating_sub(by) };
             } else {
                 start.place = uniform(rng);
             }

@@ -8,9 +8,9 @@ use rand_chacha::ChaCha8Rng;
 
 use super::candidate::{Candidate, LatticeFit, apart};
 use super::evaluator::Evaluator;
-use crate::ident::candidate::SlipEnd;
-use crate::ident::candidate::Start;
 use crate::ident::evaluator::View;
+use crate::ident::normalised::SlipEnd;
+use crate::ident::normalised::Start;
 use crate::ident::random::{moved, normal, uniform};
 
 /// Smallest s that is looked at, spans.
@@ -161,17 +161,17 @@ fn random_step(evaluator: &Evaluator<'_>, from: &Candidate, rng: &mut ChaCha8Rng
     (s, j, start, lag)
 }
 
-/// A first slip at a neighbouring record of OP, now and then anywhere on either side.
+/// A first slip at a neighbouring extreme of OP, now and then anywhere on either side.
 fn another_start(evaluator: &Evaluator<'_>, from: Start, rng: &mut ChaCha8Rng) -> Start {
-    let records = |up: bool| evaluator.problem.normalised.records[usize::from(!up)].len();
+    let count = |up: bool| evaluator.problem.normalised.extremes[usize::from(!up)].len();
     let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
-    let record = if uniform(rng) < 0.5 { from.record + by } else { from.record.saturating_sub(by) };
-    let record = record.min(records(from.up).max(1) - 1);
-    if uniform(rng) < 0.25 || record == from.record {
+    let extreme = if uniform(rng) < 0.5 { from.extreme + by } else { from.extreme.saturating_sub(by) };
+    let extreme = extreme.min(count(from.up).max(1) - 1);
+    if uniform(rng) < 0.25 || extreme == from.extreme {
         let up = uniform(rng) < 0.5;
-        return Start { up, record: (uniform(rng) * records(up) as f64) as usize, place: 0.5 };
+        return Start { up, extreme: (uniform(rng) * count(up) as f64) as usize, place: 0.5 };
     }
-    Start { record, ..from }
+    Start { extreme, ..from }
 }
 
 /// A walk over neighbours that keeps the best one.
@@ -223,9 +223,9 @@ impl Neighbours<'_, '_, '_> {
 
     /// Along the ridge, and first slips before and after.
     fn ridge_and_starts(&mut self, home: &Candidate, up: bool) {
-        let (rate, records) = {
+        let (rate, count) = {
             let normalised = self.evaluator.problem.normalised;
-            (normalised.rate.max(1e-6), normalised.records[usize::from(!home.start.up)].len())
+            (normalised.rate.max(1e-6), normalised.extremes[usize::from(!home.start.up)].len())
         };
         for lag in [0.3, 0.7, 1.5].map(|lag: f64| if up { lag } else { -lag }) {
             let s = home.s - lag * rate;
@@ -233,13 +233,13 @@ impl Neighbours<'_, '_, '_> {
             self.look(s, home.j + s - home.s, home.start, later(&home.fit, lag));
         }
         for by in [1, 2, 4] {
-            let record = if up {
-                (home.start.record + by).min(records.max(1) - 1)
+            let extreme = if up {
+                (home.start.extreme + by).min(count.max(1) - 1)
             } else {
-                home.start.record.saturating_sub(by)
+                home.start.extreme.saturating_sub(by)
             };
-            if record != home.start.record {
-                self.look(home.s, home.j, Start { record, ..home.start }, home.fit);
+            if extreme != home.start.extreme {
+                self.look(home.s, home.j, Start { extreme, ..home.start }, home.fit);
             }
         }
     }
@@ -333,7 +333,7 @@ pub(crate) fn along_cells(
             let slip_end = walk.evaluator.problem.normalised.slip_end;
             let [same, share, _, against] = ridge_jumps([walk.last.s, walk.last.j], s, slip_end);
             let moved = walk.moved_start(s);
-            let beside = |by: isize| Start { record: moved.record.saturating_add_signed(by), ..moved };
+            let beside = |by: isize| Start { extreme: moved.extreme.saturating_add_signed(by), ..moved };
             let mut starts = vec![walk.last.start, moved];
             starts.extend([1, 2, -1, -2].map(beside));
             if (s / asked - 1.0).abs() > OTHER_STEMS {

@@ -1,9 +1,9 @@
 //! What a search is given: a normalised record, what of it counts, and the sign of the gain.
 
-use crate::ident::candidate::{NormalisedRecord, Start};
 use crate::ident::class::Class;
 use crate::ident::evaluator::{View, lattice_index};
 use crate::ident::kinetic_band::Freedom;
+use crate::ident::normalised::{NormalisedRecord, Start};
 use crate::sim::steps::{Path, Steps};
 
 /// What stands between the stem and the process of a model structure, its parameters held: a rate limit, a characteristic.
@@ -31,7 +31,7 @@ pub struct Problem<'a> {
     /// Fewest moves of the stem in the record, most in a period.
     pub moves: [usize; 2],
     /// Where OP's running maxima, then minima, stand among its values.
-    records: [Vec<u32>; 2],
+    extremes: [Vec<u32>; 2],
 }
 
 /// Nine first positions of the stem, as shares of the static band from OP's first value.
@@ -50,8 +50,8 @@ impl<'a> Problem<'a> {
     pub(crate) fn new(normalised: &'a NormalisedRecord, sign: f64) -> Self {
         let path = Path::new(normalised.path.clone(), normalised.per_point);
         let moves = [LEAST_MOVES, MOST_MOVES];
-        let records = places_of_records(&normalised.path);
-        Self { normalised, path, counted: Vec::new(), behind: None, loads: Vec::new(), sign, moves, records }
+        let extremes = places_of_extremes(&normalised.path);
+        Self { normalised, path, counted: Vec::new(), behind: None, loads: Vec::new(), sign, moves, extremes }
     }
 
     /// Starts worth trying with the static band `fs`: the stem on OP's first value, and beside it by shares of the band.
@@ -68,26 +68,26 @@ impl<'a> Problem<'a> {
     /// The start that a stem at `position` makes with the band `fs`, if OP ever moves it: whichever of its running maxima and
     /// minima leaves the band first.
     fn start_from(&self, position: f64, fs: f64) -> Option<Start> {
-        let [highs, lows] = &self.normalised.records;
+        let [highs, lows] = &self.normalised.extremes;
         let up = highs.partition_point(|r| r - position <= fs);
         let down = lows.partition_point(|r| position - r <= fs);
-        let at = |records: &[u32], k: usize| records.get(k).copied().unwrap_or(u32::MAX);
-        let (high, low) = (at(&self.records[0], up), at(&self.records[1], down));
+        let at = |places: &[u32], k: usize| places.get(k).copied().unwrap_or(u32::MAX);
+        let (high, low) = (at(&self.extremes[0], up), at(&self.extremes[1], down));
         if high == u32::MAX && low == u32::MAX {
             return None;
         }
         let is_up = high <= low;
-        Some(Start { up: is_up, record: if is_up { up } else { down }, place: 0.5 })
+        Some(Start { up: is_up, extreme: if is_up { up } else { down }, place: 0.5 })
     }
 
     /// Starts whose first slip goes up, or down, within so many of OP's running extremes of a point.
     #[must_use]
     pub(crate) fn starts_near(&self, point: f64, up: bool, within: usize) -> Vec<Start> {
-        let places = &self.records[usize::from(!up)];
+        let places = &self.extremes[usize::from(!up)];
         let at = (point.max(0.0) * self.normalised.per_point as f64) as u32;
         let middle = places.partition_point(|place| *place < at);
         let last = (middle + within).min(places.len().saturating_sub(1));
-        (middle.saturating_sub(within)..=last).map(|record| Start { up, record, place: 0.5 }).collect()
+        (middle.saturating_sub(within)..=last).map(|extreme| Start { up, extreme, place: 0.5 }).collect()
     }
 
     /// Points.
@@ -138,7 +138,7 @@ impl<'a> Problem<'a> {
 }
 
 /// Where running maxima, then minima, stand, the first value included.
-fn places_of_records(path: &[f64]) -> [Vec<u32>; 2] {
+fn places_of_extremes(path: &[f64]) -> [Vec<u32>; 2] {
     let mut out = [vec![0], vec![0]];
     for (k, value) in path.iter().enumerate() {
         for (list, sign) in out.iter_mut().zip([1.0, -1.0]) {
@@ -154,7 +154,7 @@ fn places_of_records(path: &[f64]) -> [Vec<u32>; 2] {
 mod tests {
     use super::*;
     use crate::ident::Options;
-    use crate::ident::normalise::normalise;
+    use crate::ident::normalised::normalise;
     use crate::record::Record;
 
     #[test]
@@ -168,7 +168,7 @@ mod tests {
             let start = problem.starts(fs, &[0.0])[0];
             let first = normalised.path[0];
             let left = normalised.path.iter().find(|op| (*op - first).abs() > fs).unwrap();
-            assert_eq!((normalised.records[usize::from(!start.up)][start.record], start.up), (*left, *left > first));
+            assert_eq!((normalised.extremes[usize::from(!start.up)][start.extreme], start.up), (*left, *left > first));
         }
         assert!(problem.starts(2.0, &[0.0]).is_empty());
     }

@@ -227,7 +227,7 @@ fn spread_of(values: &mut [f64], from: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ident::normalise::normalise;
+    use crate::ident::normalised::normalise;
     use crate::ident::{Options, sign};
     use crate::record::Record;
     use crate::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};

@@ -6,9 +6,9 @@ use super::evaluator::Evaluator;
 use super::local_search::LEAST_S;
 use super::read::Reading;
 use super::settings::ScanSettings;
-use crate::ident::candidate::Start;
 use crate::ident::class::Class;
 use crate::ident::evaluator::lattice_index;
+use crate::ident::normalised::Start;
 use crate::ident::random::{normal, uniform};
 use crate::optim::{Contour, Objective, Settings, Solver};
 use crate::sim::slips::Law;
@@ -193,8 +193,8 @@ impl Scan {
                 self.look(evaluator, c.s, slip_end.jump(c.s, j), c.start);
             }
             for by in [1, 2, 3, 5, 8, 13] {
-                for record in [c.start.record + by, c.start.record.saturating_sub(by)] {
-                    self.look(evaluator, c.s, c.j, Start { record, ..c.start });
+                for extreme in [c.start.extreme + by, c.start.extreme.saturating_sub(by)] {
+                    self.look(evaluator, c.s, c.j, Start { extreme, ..c.start });
                 }
             }
         }

@@ -1,9 +1,12 @@
-//! One candidate: a pair (s, j) and a first slip, the slips they make of OP, and the process model that fits best.
+//! A record in the form that every fit works on: OP in spans, PV in standard deviations, times in points.
 
-use super::class::Limits;
-use super::kinetic_band::Freedom;
-use crate::sim::slips::{FirstSlip, Sequence, Stroke};
 use std::ops::Range;
+
+use super::choice::{DelayChoice, Options};
+use super::class::Limits;
+use crate::record::Record;
+use crate::signal::stats;
+use crate::sim::slips::{FirstSlip, Stroke};
 
 /// A record in normalised form: OP in spans, PV in standard deviations.
 #[derive(Debug, Clone)]
@@ -24,8 +27,8 @@ pub struct NormalisedRecord {
     pub period: f64,
     /// How fast OP usually moves, spans a point.
     pub rate: f64,
-    /// OP's running maxima, then minima: the places where a first slip can happen.
-    pub records: [Vec<f64>; 2],
+    /// OP's running maxima, then minima: a first slip happens at one of them.
+    pub extremes: [Vec<f64>; 2],
     /// What the valve has beside its law.
     pub stroke: Stroke,
     /// Where its slips end.
@@ -67,7 +70,7 @@ impl SlipEnd {
 
 impl NormalisedRecord {
     /// Running maxima (or minima) of OP from its first value on.
-    pub(crate) fn records_of(path: &[f64]) -> [Vec<f64>; 2] {
+    pub(crate) fn running_extremes(path: &[f64]) -> [Vec<f64>; 2] {
         let first = path.first().copied().unwrap_or(0.0);
         let mut out = [vec![first], vec![first]];
         for &op in path {
@@ -85,7 +88,7 @@ impl NormalisedRecord {
     pub(crate) fn cut(&self, points: Range<usize>) -> Self {
         let path = self.path[points.start * self.per_point..points.end * self.per_point].to_vec();
         Self {
-            records: Self::records_of(&path),
+            extremes: Self::running_extremes(&path),
             path,
             mean: self.mean[points.clone()].to_vec(),
             pv: self.pv[points].to_vec(),
@@ -96,71 +99,89 @@ impl NormalisedRecord {
     /// The first slip that `start` stands for.
     #[must_use]
     pub(crate) fn first_slip(&self, start: Start) -> FirstSlip {
-        let list = &self.records[usize::from(!start.up)];
+        let list = &self.extremes[usize::from(!start.up)];
         let direction = if start.up { 1.0 } else { -1.0 };
-        let threshold = match start.record.min(list.len() - 1) {
+        let threshold = match start.extreme.min(list.len() - 1) {
             0 => list[0] - direction * 1e-9,
             r => list[r - 1] + start.place * (list[r] - list[r - 1]),
         };
         FirstSlip { direction, threshold }
     }
 
-    /// A start some points `later`, as far as OP goes on to new records there.
+    /// A start some points `later`, as far as OP goes on to new extremes there.
     #[must_use]
     pub(crate) fn moved_start(&self, start: Start, later: f64) -> Start {
-        let last = self.records[usize::from(!start.up)].len().saturating_sub(1);
+        let last = self.extremes[usize::from(!start.up)].len().saturating_sub(1);
         let by = (later * self.per_point as f64).round();
-        let record = (start.record as f64 + by).clamp(0.0, last as f64) as usize;
-        Start { record, ..start }
+        let extreme = (start.extreme as f64 + by).clamp(0.0, last as f64) as usize;
+        Start { extreme, ..start }
     }
 }
 
-/// Which of OP's records brings the first slip, and where between the record before and it the threshold lies (0..1).
+/// Which of OP's running extremes brings the first slip, and where between the one before and it the threshold lies (0..1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Start {
     /// Upwards, at a running maximum.
     pub up: bool,
-    /// Which record; 0 slips at the first value.
-    pub record: usize,
+    /// Which extreme; 0 slips at the first value.
+    pub extreme: usize,
     /// Place of the threshold.
     pub place: f64,
 }
 
-/// Fewest moves of the stem from which a model is fitted.
-pub(crate) const MIN_SLIPS: usize = 3;
-
-/// The bands fd that the slips of `sequence` leave open to (s, j).
-#[must_use]
-pub(crate) fn freedom(sequence: &Sequence, bands: [f64; 2], sign: f64, limits: Limits, slip_end: SlipEnd) -> Freedom {
-    band_freedom([sequence.s_cell, sequence.j_cell], bands, sign, limits, slip_end)
+/// The value on a grid of 2^-24, far finer than any recording: shifting or scaling a record changes its normalised
+/// values in the last bits only, and the grid takes those away, so that every search takes the same way.
+fn on_grid(x: f64) -> f64 {
+    const GRID: f64 = 16_777_216.0;
+    (x * GRID).round() / GRID
 }
 
-/// The bands fd that slips with these cells of s and j leave open to (s, j).
-#[must_use]
-pub(crate) fn band_freedom(
-    cells: [[f64; 2]; 2],
-    [s, j]: [f64; 2],
-    sign: f64,
-    limits: Limits,
-    slip_end: SlipEnd,
-) -> Freedom {
-    let [[s_low, s_high], [j_low, j_high]] = cells;
-    let s_high = if s_high.is_finite() { s_high } else { s.max(1.0) };
-    let low = match slip_end {
-        SlipEnd::Short => (0.5 * (s_low - j_high.min(s_high))).max(0.0),
-        SlipEnd::Beyond => {
-            let j_high = if j_high.is_finite() { j_high } else { j.max(3.0 * s) };
-            (0.5 * (s_low - j_high)).max(-MOST_OVERSHOOT * 0.5 * (s + j))
-        }
+/// Dead times up to here are looked for whatever the loop, points: finer than that a record does not tell them.
+const FINEST: f64 = 3.0;
+
+/// The record in normalised form.
+pub(crate) fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) -> NormalisedRecord {
+    let (n, m) = (record.len(), record.path_per_point());
+    let middle = stats::mean(&record.op_path);
+    let path: Vec<f64> = record.op_path.iter().map(|u| on_grid((u - middle) / span)).collect();
+    let mean: Vec<f64> = path.chunks_exact(m).map(stats::mean).collect();
+    let level = stats::mean(&record.pv);
+    let pv = record.pv.iter().map(|p| on_grid((p - level) / deviation)).collect();
+    let period = options.period_points.unwrap_or(n as f64 / 5.0).clamp(6.0, n as f64);
+    let period = (16.0 * period).round() / 16.0;
+    let raw = 1.0 / record.box_samples as f64;
+    let longest = options.longest_dead_time_s / record.point_s() + raw;
+    let most = (0.4 * period).clamp(6.0, 120.0).min(n as f64 / 6.0).min(longest.max(FINEST + raw));
+    let lag = match options.delay {
+        DelayChoice::Auto => [raw, most],
+        DelayChoice::Samples(d) => [raw * (d.max(0.0) + 1.0); 2],
+        DelayChoice::Seconds(d) => [raw * (d.max(0.0) / record.ts_s + 1.0); 2],
     };
-    let high = (0.5 * (s_high - j_low)).max(low);
-    Freedom { fd: [low, high], fd_default: (0.5 * (s - j)).clamp(low, high), sign, limits }
+    let lag = lag.map(|l| l.min(0.5 * n as f64));
+    let from = (lag[1].ceil() as usize + 1).min(n / 2);
+    let limits = Limits { tau: [0.3, (3.0 * n as f64).max(500.0)], lag };
+    let extremes = NormalisedRecord::running_extremes(&path);
+    let width = ((period / 32.0) as usize).max(1);
+    let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
+    let rate = stats::median(&travel);
+    NormalisedRecord {
+        path,
+        per_point: m,
+        mean,
+        pv,
+        limits,
+        from,
+        period,
+        rate,
+        extremes,
+        stroke: Stroke::FREE,
+        slip_end: SlipEnd::Short,
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sim::slips::Law;
 
     #[test]
     fn a_slip_end_keeps_jumps_on_its_side_and_reaches_all_of_them() {
@@ -172,18 +193,5 @@ mod tests {
         }
         assert_eq!(SlipEnd::Short.keep(0.3, 0.5), 0.3);
         assert_eq!(SlipEnd::Beyond.keep(0.3, 0.1), 0.3);
-    }
-
-    #[test]
-    fn slips_beyond_op_leave_a_band_below_zero_open() {
-        let path: Vec<f64> = (0..600).map(|k| libm::sin(f64::from(k) * 0.05)).collect();
-        let mut sequence = Sequence::default();
-        let (s, j) = (0.3, 0.7);
-        sequence.run(Law::He, &path, 1, s, j, FirstSlip { direction: 1.0, threshold: 0.2 });
-        let limits = Limits { tau: [0.3, 500.0], lag: [0.0, 25.0] };
-        let open = freedom(&sequence, [s, j], 1.0, limits, SlipEnd::Beyond);
-        assert!(open.fd[0] < -0.2 && open.fd[0] <= open.fd_default && open.fd_default <= open.fd[1], "{open:?}");
-        let short = freedom(&sequence, [s, 0.1], 1.0, limits, SlipEnd::Short);
-        assert!(short.fd[0] >= 0.0);
     }
 }
