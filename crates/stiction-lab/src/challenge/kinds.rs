@@ -97,6 +97,8 @@ pub enum Kind {
     SluggishFall,
     /// Several external steps and short pulses.
     Upsets,
+    /// An external oscillation whose phase and amplitude wander.
+    WanderingCycle,
 }
 
 impl Kind {
@@ -146,7 +148,7 @@ impl Kind {
     pub const ADDED_LATER: Self = Self::RandomFriction;
 
     /// Effects that the budget alone names, outside every usual deck.
-    pub const OF_BUDGET: [Self; 1] = [Self::Upsets];
+    pub const OF_BUDGET: [Self; 2] = [Self::Upsets, Self::WanderingCycle];
 
     /// Its id, as in the catalogue if it is there.
     #[must_use]
@@ -186,6 +188,7 @@ impl Kind {
             Self::RandomFriction => "random_friction",
             Self::SluggishFall => "sluggish_fall",
             Self::Upsets => "upsets",
+            Self::WanderingCycle => "wandering_cycle",
         }
     }
 
@@ -216,7 +219,8 @@ impl Kind {
             | Self::ColouredNoise
             | Self::InteractingLoop
             | Self::UpstreamCycle
-            | Self::Upsets => Stage::Disturbance,
+            | Self::Upsets
+            | Self::WanderingCycle => Stage::Disturbance,
             Self::Quantisation
             | Self::HoldCompression
             | Self::SwingingDoor

@@ -47,7 +47,7 @@ struct Row {
 
 #[test]
 #[ignore = "a benchmark of minutes"]
-fn steps_and_pulses_are_named_as_one_effect() {
+fn effects_that_the_budget_alone_names() {
     let (seed, cases) = (asked("SEED", 60), asked("CASES", 20) as usize);
     let beside = [Kind::StepLoad, Kind::Sinusoid, Kind::Ramp, Kind::ColouredNoise, Kind::UpstreamCycle];
     let kinds: Vec<Option<Kind>> = Kind::OF_BUDGET.into_iter().chain(beside).map(Some).chain([None]).collect();

@@ -74,6 +74,17 @@ impl Class {
         matches!(self, Self::Integrating | Self::LagIntegrating)
     }
 
+    /// The shape with these time constants, those that the class lacks left out, and a lag, points.
+    #[must_use]
+    pub(crate) fn shape(self, taus: [f64; 2], lag: f64) -> Shape {
+        let [a, b] = taus.map(libm::log);
+        match self {
+            Self::First | Self::LagIntegrating => [a, lag, 0.0],
+            Self::Second => [a, b, lag],
+            Self::Integrating => [lag, 0.0, 0.0],
+        }
+    }
+
     /// A shape inside the limits; the two lags of [`Class::Second`] are kept in falling order and apart.
     #[must_use]
     pub(crate) fn clamp(self, mut shape: Shape, limits: &Limits) -> Shape {

@@ -14,7 +14,7 @@ use super::normalised::{NormalisedRecord, Start};
 use super::quantify::Estimate;
 use super::slip_search::answer::improvement;
 use super::slip_search::candidate::LatticeFit;
-use super::slip_search::evaluator::{on_whole_record, shape_of};
+use super::slip_search::evaluator::on_whole_record;
 use super::slip_search::part::frictionless;
 use super::slip_search::problem::Problem;
 use crate::record::Record;
@@ -91,7 +91,7 @@ impl<'a> Hypothetical<'a> {
             let offset = stats::mean(&moved);
             moved.iter_mut().for_each(|m| *m -= offset);
         }
-        let shape = shape_of(self.class, self.process.places.map(lattice_tau), self.process.lag());
+        let shape = self.class.shape(self.process.places.map(lattice_tau), self.process.lag());
         let mut answer = self.class.respond(&shape, &moved);
         answer.iter_mut().for_each(|a| *a *= self.process.gain);
         let pv = normalised.pv.iter().zip(&answer).map(|(pv, a)| pv + a).collect();

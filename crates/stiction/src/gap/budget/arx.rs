@@ -79,7 +79,7 @@ pub(crate) fn whitened(a: &[f64], x: &[f64]) -> Vec<f64> {
 }
 
 /// Weighted least squares of `y` on `columns`; `None` where the equations have no solution.
-fn solve(columns: &[Vec<f64>], y: &[f64], weights: &[f64]) -> Option<Vec<f64>> {
+pub(super) fn solve(columns: &[Vec<f64>], y: &[f64], weights: &[f64]) -> Option<Vec<f64>> {
     let k = columns.len();
     let mut gram = DMatrix::zeros(k, k);
     let mut right = DVector::zeros(k);

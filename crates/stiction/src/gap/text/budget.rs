@@ -2,7 +2,7 @@
 
 use super::super::budget::document::{
     BudgetNote, CANNOT_BE_TOLD, DISTURBANCE, EventNote, NOISE, NOT_SPLIT, PartNote, TOLD, TellableNote, UNEXPLAINED,
-    UPSETS, VALVE_AND_PROCESS,
+    UPSETS, VALVE_AND_PROCESS, WANDERING_CYCLE,
 };
 use super::super::document::GapDocument;
 use super::super::sizes::percent;
@@ -46,7 +46,11 @@ pub(super) fn confirmed(d: &GapDocument) -> Option<String> {
     let is_told = |p: &&PartNote| {
         p.confirmed == Some(true) && !(d.cause.confirmed && p.id == d.cause.id) && p.share_pct >= LEAST_SHARE_PCT
     };
-    let noun = |id: &str| if id == UPSETS { "steps and pulses".to_owned() } else { effect::noun(id) };
+    let noun = |id: &str| match id {
+        UPSETS => "steps and pulses".to_owned(),
+        WANDERING_CYCLE => "an oscillation from outside that wanders".to_owned(),
+        id => effect::noun(id),
+    };
     let mut parts: Vec<&PartNote> = parts.filter(is_told).collect();
     parts.sort_by(|a, b| b.share_pct.total_cmp(&a.share_pct));
     let each: Vec<String> = parts.into_iter().map(|p| format!("{}, {}", noun(&p.id), percent(p.share_pct))).collect();
@@ -143,6 +147,7 @@ fn words(part: &PartNote) -> String {
             let gain = part.gain_nats.map_or_else(String::new, |g| format!(" (gain {} nats)", number(g)));
             let what = match id {
                 UPSETS => upsets(&part.events),
+                WANDERING_CYCLE => wandering_cycle(part),
                 id => effect::phrase_of(id, &part.parameters),
             };
             format!("{what}, {sure}{gain}")
@@ -157,6 +162,13 @@ fn upsets(events: &[EventNote]) -> String {
         format!("{} PV units{lasts} at {} s", number(event.size), number(event.at_s))
     };
     format!("{} upsets: {}", events.len(), events.iter().map(one).collect::<Vec<_>>().join(", "))
+}
+
+/// An oscillation from outside by its period and how long it keeps its phase.
+fn wandering_cycle(part: &PartNote) -> String {
+    let value = |name: &str| part.parameters.get(name).map_or(f64::NAN, |q| q.value);
+    let (period, periods) = (duration(value("period")), number(value("coherence")));
+    format!("an oscillation from outside of period {period} that keeps its phase for about {periods} periods")
 }
 
 fn no_split(budget: &BudgetNote) -> Option<String> {
@@ -257,6 +269,17 @@ mod tests {
                 duration(60.0)
             )
         );
+    }
+
+    #[test]
+    fn an_oscillation_that_wanders_is_said_with_its_period() {
+        let mut part = document().budget.unwrap().parts.remove(0);
+        (part.id, part.confirmed, part.gain_nats) = (WANDERING_CYCLE.to_owned(), Some(false), Some(52.0));
+        let size = |value: f64, unit: &str| super::super::super::sizes::Quantity { value, unit: unit.to_owned() };
+        part.parameters =
+            [("period".to_owned(), size(37.0, "s")), ("coherence".to_owned(), size(6.0, "1"))].into_iter().collect();
+        let want = "an oscillation from outside of period 37 s that keeps its phase for about 6 periods, suspected, not confirmed (gain 52 nats)";
+        assert_eq!(words(&part), want);
     }
 
     #[test]

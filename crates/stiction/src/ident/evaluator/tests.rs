@@ -6,7 +6,6 @@ use super::*;
 use crate::ident::class::{Class, Limits, Shape};
 use crate::ident::kinetic_band::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
-use crate::ident::slip_search::evaluator::shape_of;
 use crate::sim::slips::{FirstSlip, Law, Sequence, Stroke};
 use crate::sim::steps::{Path, Steps};
 
@@ -91,7 +90,7 @@ proptest! {
         let taus = [tau * libm::exp(apart), tau];
         let freedom = Freedom { fd: [-0.05, 0.3], fd_default: 0.1, sign: 1.0, limits: LIMITS };
         let signal = [&sequence.at[..], &sequence.direction[..]];
-        let (plain, squares) = by_columns(class, &shape_of(class, taus, lag), signal, &pv, rho, from, &freedom);
+        let (plain, squares) = by_columns(class, &class.shape(taus, lag), signal, &pv, rho, from, &freedom);
         let mut steps = Steps::default();
         steps.run(&Path::new(op, m), n, stroke, law, [s, share * s], first);
         let view = View::new(&pv, rho, from);
@@ -131,7 +130,7 @@ proptest! {
         let (_, _, explained) = reduced.at(lag.fract(), &freedom);
         // The same by columns on the points that count.
         let valve: Vec<f64> = sequence.at.iter().zip(&sequence.direction).map(|(a, d)| a - fd * d).collect();
-        let shape = shape_of(class, taus, lag);
+        let shape = class.shape(taus, lag);
         let x = class.respond(&shape, &valve);
         let points: Vec<usize> = view.counted().iter().flat_map(|[a, b]| *a..*b).collect();
         let filtered = |x: &[f64]| -> Vec<f64> { points.iter().map(|k| x[*k] - rho * x[k - 1]).collect() };
@@ -169,7 +168,7 @@ fn the_best_dead_time_within_a_sample_is_found() {
     let valve: Vec<f64> = sequence.at.iter().zip(&sequence.direction).map(|(a, d)| a - 0.1 * d).collect();
     for (class, lag) in CLASSES.into_iter().zip([4.37, 7.81, 3.04, 9.5]) {
         let taus = [12.0, 5.0];
-        let x = class.respond(&shape_of(class, taus, lag), &valve);
+        let x = class.respond(&class.shape(taus, lag), &valve);
         let view = View::new(&x, 0.0, from);
         let tables = taus.map(|tau| view.table(tau));
         let reduced =

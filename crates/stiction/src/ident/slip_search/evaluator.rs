@@ -2,7 +2,7 @@
 
 use super::candidate::{Candidate, LatticeFit};
 use super::problem::Problem;
-use crate::ident::class::{Class, Shape};
+use crate::ident::class::Class;
 use crate::ident::evaluator::{Best, HeldSums, Reduced, Table, View, lattice_index, lattice_tau, reduce};
 use crate::ident::kinetic_band::Freedom;
 use crate::ident::kinetic_band::band_freedom;
@@ -531,7 +531,7 @@ impl<'a> Evaluator<'a> {
     pub(crate) fn leftover(&self, view: &View, process: &Polished) -> Vec<f64> {
         let (class, n) = (self.class, view.points());
         let valve = self.signal(n, process.fd);
-        let shape = shape_of(class, process.taus, process.lag);
+        let shape = class.shape(process.taus, process.lag);
         let out = class.respond(&shape, &valve);
         let from = view.from();
         let pv = self.problem.pv();
@@ -593,15 +593,4 @@ fn newton(slope: [f64; 2], curve: [f64; 2], cross: f64, count: usize) -> [f64; 2
         out[i] = if curve[i] > 0.0 { short(-slope[i] / curve[i]) } else { -slope[i].signum() };
     }
     out
-}
-
-/// Time constants and lag as the plain pass takes them.
-#[must_use]
-pub(crate) fn shape_of(class: Class, taus: [f64; 2], lag: f64) -> Shape {
-    let [a, b] = taus.map(libm::log);
-    match class {
-        Class::First | Class::LagIntegrating => [a, lag, 0.0],
-        Class::Second => [a, b, lag],
-        Class::Integrating => [lag, 0.0, 0.0],
-    }
 }
