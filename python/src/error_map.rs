@@ -7,7 +7,8 @@ use crate::columns::{Handed, enough};
 use crate::options::{Look, config};
 use crate::supervise::supervised;
 use crate::{StictionError, refused};
-use stiction::ident::fit_plots::{FitPlots, Model};
+use stiction::ident::Model;
+use stiction::ident::fit_plots::FitPlots;
 use stiction::signal::stats;
 use stiction::sim::slips::Law;
 use stiction_monitor::analysis::Points;
@@ -54,13 +55,12 @@ fn model_of(document: &str) -> Option<(Model, Option<f64>)> {
     let lags = process["time_constants_s"].as_array()?.iter().filter_map(Value::as_f64);
     let model = Model {
         law: if read["valve_model"] == Law::Tracking.name() { Law::Tracking } else { Law::He },
-        order: u8::try_from(process["order"].as_u64()?).ok()?,
-        integrating: process["integrating"].as_bool()?,
-        s: read["s"].as_f64()?,
-        j: read["j"].as_f64()?,
+        fs: read["fs"].as_f64()?,
+        fd: read["fd"].as_f64()?,
         gain: process["gain"].as_f64()?,
         time_constants_s: lags.collect(),
         dead_time_s: process["dead_time_s"].as_f64()?,
+        integrating: process["integrating"].as_bool()?,
     };
     Some((model, read["oscillation"]["period_s"].as_f64()))
 }

@@ -1,9 +1,8 @@
 //! The computations behind a loop's pictures, in the order of their cost.
 
 use stiction::ident::fit_plots;
-use stiction::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Model, Optimum, OrderChart, RESAMPLES, RESTARTS};
+use stiction::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Optimum, OrderChart, RESAMPLES, RESTARTS};
 use stiction::record::Record;
-use stiction::sim::slips::Law;
 use stiction::verdict::{AssessParams, Assessment};
 
 /// Step of the error maps, share of OP's span.
@@ -26,27 +25,11 @@ pub struct Detail {
     pub bootstrap: Vec<Optimum>,
 }
 
-/// The model that an assessment tells; `None` without a fit.
-#[must_use]
-pub fn model_of(a: &Assessment) -> Option<Model> {
-    let (s, j, process) = (a.s?, a.j?, a.process.as_ref()?);
-    Some(Model {
-        law: a.valve_model.unwrap_or(Law::He),
-        order: process.order,
-        integrating: process.integrating,
-        s,
-        j,
-        gain: process.gain,
-        time_constants_s: process.time_constants_s.clone(),
-        dead_time_s: process.dead_time_s,
-    })
-}
-
 impl Detail {
     /// Computes everything for one loop; `None` where nothing was fitted. Takes a few times as long as an estimate.
     #[must_use]
     pub fn of(record: &Record, params: &AssessParams, a: &Assessment) -> Option<Self> {
-        let model = model_of(a)?;
+        let model = a.model()?;
         let options = params.options(a.oscillation.period_s.map(|p| p / record.point_s()));
         let plots = FitPlots::new(record, &options, &model)?;
         let other = |k: usize| options.seed.wrapping_add(1_000 + k as u64);

@@ -22,7 +22,8 @@ use stiction::gap::locate::{Subject, locate};
 use stiction::gap::model::{self, Model};
 use stiction::gap::pool;
 use stiction::gap::{self, Base, Executor, GapError, GapOptions, Neighbour};
-use stiction::ident::free_run::{Fixed, free_run};
+use stiction::ident;
+use stiction::ident::free_run::free_run;
 use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::sim::slips::Law;
@@ -187,7 +188,8 @@ fn remember(memory: &mut VecDeque<f64>, value: f64) {
     memory.push_back(value);
 }
 
-fn fixed(model: &Model) -> Fixed<'_> {
+/// Valve and process of a model without its effects.
+fn valve_and_process(model: &Model) -> ident::Model {
     let (law, fs, fd) = match model.valve.law.as_str() {
         "tracking" => (Law::Tracking, model.valve.fs, model.valve.fd),
         "none" => (Law::He, 0.0, 0.0),
@@ -195,7 +197,7 @@ fn fixed(model: &Model) -> Fixed<'_> {
     };
     let p = &model.process;
     let (gain, dead_time_s, integrating) = (p.gain, p.dead_time_s, p.integrating);
-    Fixed { law, fs, fd, gain, time_constants_s: &p.time_constants_s, dead_time_s, integrating }
+    ident::Model { law, fs, fd, gain, time_constants_s: p.time_constants_s.clone(), dead_time_s, integrating }
 }
 
 impl Accepted {
@@ -206,7 +208,7 @@ impl Accepted {
         if self.window_end_ns.saturating_sub(record.start_ns) > length_ns / 2 {
             return None;
         }
-        let run = free_run(record, &fixed(&self.model), self.window_end_ns)?;
+        let run = free_run(record, &valve_and_process(&self.model), self.window_end_ns)?;
         let noise = stats::noise_sd(&record.pv);
         let gap = (run.rmse * run.rmse - noise * noise).max(0.0).sqrt() / stats::std_dev(&record.pv);
         gap.is_finite().then_some(gap)
@@ -230,7 +232,7 @@ fn model_of(assessment: &Assessment, record: &Record) -> Option<Model> {
         },
         effects: Vec::new(),
     };
-    let run = free_run(record, &fixed(&model), record.start_ns)?;
+    let run = free_run(record, &valve_and_process(&model), record.start_ns)?;
     (model.process.op, model.process.pv) = (run.rest_op, run.rest_pv);
     let process = &model.process;
     let numbers = [fs, fd, process.gain, process.dead_time_s, process.op, process.pv];

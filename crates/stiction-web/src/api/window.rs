@@ -22,7 +22,7 @@ use stiction_files::LoadedLoop;
 use stiction_files::csv;
 use stiction_files::transfer::write_loops;
 use stiction_monitor::engine::LoopSettings;
-use stiction_report::detail::{Detail, model_of};
+use stiction_report::detail::Detail;
 use stiction_report::diagram::Tags;
 use stiction_report::figures::{Figure, Subject, detailed};
 use stiction_report::{LoopReport, Report, page};
@@ -165,7 +165,7 @@ async fn window(State(live): State<Shared>, PathName(name): PathName) -> Answere
 }
 
 fn window_of(record: &Record, estimate: Option<&EstimateDocument>, settings: &LoopSettings) -> Window {
-    let model = estimate.and_then(|e| model_of(&e.assessment));
+    let model = estimate.and_then(|e| e.assessment.model());
     let period_s = estimate.and_then(|e| e.assessment.oscillation.period_s);
     let options = settings.assess.options(period_s.map(|p| p / record.point_s()));
     let run = model.as_ref().and_then(|model| Some(FitPlots::new(record, &options, model)?.free_run()));

@@ -314,13 +314,13 @@ fn over([low, high]: [f64; 2], up: i32, now: f64) -> Option<f64> {
     }
 }
 
-/// First slips at the records of OP beside the one at hand.
+/// First slips at the running extremes of OP beside the one at hand.
 fn nearby_starts(normalised: &NormalisedRecord, first: FirstSlip) -> Vec<FirstSlip> {
     let direction = first.direction;
     let list = &normalised.extremes[usize::from(direction < 0.0)];
     let here = list.iter().take_while(|r| direction * (first.threshold - **r) >= 0.0).count();
-    let at = |record: usize| {
-        let threshold = match record {
+    let at = |extreme: usize| {
+        let threshold = match extreme {
             0 => list[0] - direction * 1e-9,
             r => 0.5 * (list[r - 1] + list[r]),
         };
@@ -527,7 +527,7 @@ fn step(problem: &Problem, structure: &Structure, from: &Candidate, rng: &mut Ch
     theta
 }
 
-/// The first slip at a neighbouring record of OP, or anywhere.
+/// The first slip at a neighbouring extreme of OP, or anywhere.
 fn another_start(normalised: &NormalisedRecord, first: FirstSlip, rng: &mut ChaCha8Rng) -> FirstSlip {
     let mut direction = first.direction;
     let anywhere = uniform(rng) < 0.15;

@@ -6,8 +6,8 @@
 use super::choice::Options;
 use super::class::{Class, Limits, Shape};
 use super::least_squares::Gram;
-use super::normalised::normalise;
-use super::normalised::{NormalisedRecord, Start};
+use super::model::Model;
+use super::normalised::{NormalisedRecord, Start, normalise};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{Law, Sequence};
@@ -16,25 +16,6 @@ use crate::sim::slips::{Law, Sequence};
 const STARTS: usize = 256;
 /// Fewest points from which an error is told.
 const LEAST: usize = 30;
-
-/// A valve and a process, in recorded units.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fixed<'a> {
-    /// The valve's law.
-    pub law: Law,
-    /// Static band, OP units; 0 together with `fd` for a valve that follows OP.
-    pub fs: f64,
-    /// Kinetic band, OP units.
-    pub fd: f64,
-    /// PV units an OP unit, and a second when integrating.
-    pub gain: f64,
-    /// Time constants, s: one or two when settling, none or one when integrating.
-    pub time_constants_s: &'a [f64],
-    /// Dead time, s.
-    pub dead_time_s: f64,
-    /// Integrates instead of settling.
-    pub integrating: bool,
-}
 
 /// What a free run left.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,7 +33,7 @@ pub struct FreeRun {
 /// `None` where a signal does not move, a number of the model cannot be used, its class is unknown, or fewer than
 /// 30 points count.
 #[must_use]
-pub fn free_run(record: &Record, model: &Fixed<'_>, after_ns: i64) -> Option<FreeRun> {
+pub fn free_run(record: &Record, model: &Model, after_ns: i64) -> Option<FreeRun> {
     let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
     if record.len() < LEAST || !span.is_normal() || !deviation.is_normal() {
         return None;
@@ -80,16 +61,9 @@ pub fn free_run(record: &Record, model: &Fixed<'_>, after_ns: i64) -> Option<Fre
 }
 
 /// The model's class and shape, in points.
-fn shaped(model: &Fixed<'_>, record: &Record, normalised: &NormalisedRecord) -> Option<(Class, Shape)> {
-    let lag = (model.dead_time_s / record.ts_s + 1.0) / record.box_samples as f64;
-    let tau = |index: usize| libm::log(model.time_constants_s[index] / record.point_s());
-    let (class, shape) = match (model.integrating, model.time_constants_s.len()) {
-        (false, 1) => (Class::First, [tau(0), lag, 0.0]),
-        (false, 2) => (Class::Second, [tau(0), tau(1), lag]),
-        (true, 0) => (Class::Integrating, [lag, 0.0, 0.0]),
-        (true, 1) => (Class::LagIntegrating, [tau(0), lag, 0.0]),
-        _ => return None,
-    };
+fn shaped(model: &Model, record: &Record, normalised: &NormalisedRecord) -> Option<(Class, Shape)> {
+    let class = model.class()?;
+    let shape = class.shape(model.taus(record), model.lag(record));
     let limits = Limits { tau: normalised.limits.tau, lag: [0.0, 0.5 * record.len() as f64] };
     shape.iter().all(|s| s.is_finite()).then(|| (class, class.clamp(shape, &limits)))
 }
@@ -130,7 +104,7 @@ impl Run<'_> {
         found.filter(|b| b.rmse.is_finite()).min_by(|a, b| a.rmse.total_cmp(&b.rmse))
     }
 
-    /// Every first slip that a stem within the band can make: each new record of OP up to two bands away.
+    /// Every first slip that a stem within the band can make: each running extreme of OP up to two bands away.
     fn starts(&self, fs: f64) -> Vec<Start> {
         let mut starts = Vec::new();
         for (list, up) in self.normalised.extremes.iter().zip([true, false]) {
@@ -203,9 +177,9 @@ mod tests {
         ClosedLoop::new(model, 0.0, 60.0, 7)
     }
 
-    fn truth(fs: f64, fd: f64) -> Fixed<'static> {
+    fn truth(fs: f64, fd: f64) -> Model {
         let (gain, dead_time_s) = (2.0, 7.0);
-        Fixed { law: Law::He, fs, fd, gain, time_constants_s: &[40.0], dead_time_s, integrating: false }
+        Model { law: Law::He, fs, fd, gain, time_constants_s: vec![40.0], dead_time_s, integrating: false }
     }
 
     #[test]
@@ -237,7 +211,7 @@ mod tests {
     #[test]
     fn an_integrating_process_rests_where_its_level_holds() {
         let record = plant(3.0, 1.0, 0.0, true).record(1500, 61.0);
-        let model = Fixed { gain: 0.01, time_constants_s: &[], integrating: true, ..truth(3.0, 1.0) };
+        let model = Model { gain: 0.01, time_constants_s: vec![], integrating: true, ..truth(3.0, 1.0) };
         let run = free_run(&record, &model, 0).unwrap();
         assert!(run.rmse < 1.3 * NOISE && (run.rest_op - 50.0).abs() < 0.2, "{run:?}");
     }
@@ -245,11 +219,11 @@ mod tests {
     #[test]
     fn what_cannot_be_run_is_not() {
         let record = plant(5.0, 3.0, 20.0, false).record(300, 61.0);
-        let wrong = |model: Fixed<'_>| assert_eq!(free_run(&record, &model, 0), None, "{model:?}");
-        wrong(Fixed { time_constants_s: &[], ..truth(5.0, 3.0) });
-        wrong(Fixed { time_constants_s: &[-1.0], ..truth(5.0, 3.0) });
-        wrong(Fixed { gain: f64::NAN, ..truth(5.0, 3.0) });
-        wrong(Fixed { dead_time_s: f64::INFINITY, ..truth(5.0, 3.0) });
+        let wrong = |model: Model| assert_eq!(free_run(&record, &model, 0), None, "{model:?}");
+        wrong(Model { time_constants_s: vec![], ..truth(5.0, 3.0) });
+        wrong(Model { time_constants_s: vec![-1.0], ..truth(5.0, 3.0) });
+        wrong(Model { gain: f64::NAN, ..truth(5.0, 3.0) });
+        wrong(Model { dead_time_s: f64::INFINITY, ..truth(5.0, 3.0) });
         let still = Record::uniform(1.0, vec![1.0; 300], vec![1.0; 300]);
         assert_eq!(free_run(&still, &truth(5.0, 3.0), 0), None);
     }

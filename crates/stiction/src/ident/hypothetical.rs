@@ -9,8 +9,7 @@ use super::choice::Options;
 use super::class::Class;
 use super::evaluator::lattice_tau;
 use super::kinetic_band::MIN_SLIPS;
-use super::normalised::normalise;
-use super::normalised::{NormalisedRecord, Start};
+use super::normalised::{NormalisedRecord, Start, normalise};
 use super::quantify::Estimate;
 use super::slip_search::answer::improvement;
 use super::slip_search::candidate::LatticeFit;
@@ -60,8 +59,9 @@ impl<'a> Hypothetical<'a> {
         }
         let normalised = normalise(record, options, span, deviation);
         let (class, sign) = (estimate.class, estimate.gain.signum());
-        let process =
-            on_whole_record(&normalised, sign, Law::He, class, |evaluator, view| frictionless(evaluator, view, class))?;
+        let process = on_whole_record(&Problem::new(&normalised, sign), Law::He, class, |evaluator, view| {
+            frictionless(evaluator, view, class)
+        })?;
         (process.gain != 0.0).then_some(Self { record, normalised, class, sign, process, span, deviation })
     }
 
@@ -108,7 +108,10 @@ impl<'a> Hypothetical<'a> {
     /// 1 - error with this very valve / error without friction, 0..1; the process is fitted anew to each.
     #[must_use]
     pub(crate) fn index(&self, of: &HypotheticalValve) -> f64 {
-        let index = on_whole_record(&of.normalised, self.sign, Law::He, self.class, |evaluator, view| {
+        let mut problem = Problem::new(&of.normalised, self.sign);
+        // A small band slips more often than a search would try.
+        problem.moves = [MIN_SLIPS, of.normalised.path.len()];
+        let index = on_whole_record(&problem, Law::He, self.class, |evaluator, view| {
             let without = frictionless(evaluator, view, self.class)?;
             let with = evaluator.met(view, of.bands, of.start, &self.process)?;
             Some(improvement(with.sse(), without.sse))

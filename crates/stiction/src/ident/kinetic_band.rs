@@ -131,6 +131,7 @@ pub(crate) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::signal::stats::dot;
     use crate::sim::slips::{FirstSlip, Law};
 
     #[test]
@@ -144,5 +145,22 @@ mod tests {
         assert!(open.fd[0] < -0.2 && open.fd[0] <= open.fd_default && open.fd_default <= open.fd[1], "{open:?}");
         let short = freedom(&sequence, [s, 0.1], 1.0, limits, SlipEnd::Short);
         assert!(short.fd[0] >= 0.0);
+    }
+
+    #[test]
+    fn gain_and_band_are_read_from_the_products_and_a_wrong_sign_is_refused() {
+        let at: Vec<f64> =
+            (0..200).map(|k| libm::sin(f64::from(k) * 0.11) + 0.3 * libm::sin(f64::from(k) * 0.037)).collect();
+        let direction: Vec<f64> = (0..200).map(|k| if k / 17 % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let y: Vec<f64> = at.iter().zip(&direction).map(|(a, d)| 2.5 * (a - 0.2 * d)).collect();
+        let system = [(&at, &at), (&at, &direction), (&direction, &direction), (&at, &y), (&direction, &y)]
+            .map(|(x, y)| dot(x, y));
+        let whole = [system[0], system[2]];
+        let limits = Limits { tau: [0.3, 500.0], lag: [0.0, 25.0] };
+        let within = |fd: [f64; 2], sign: f64| Freedom { fd, fd_default: 0.0, sign, limits };
+        let (gain, fd, explained) = best_band(system, whole, &within([0.0, 0.5], 1.0));
+        assert!((gain - 2.5).abs() < 1e-9 && (fd - 0.2).abs() < 1e-9 && (explained / dot(&y, &y) - 1.0).abs() < 1e-9);
+        assert_eq!(best_band(system, whole, &within([0.0, 0.1], 1.0)).1, 0.1);
+        assert_eq!(best_band(system, whole, &within([0.0, 0.5], -1.0)), (0.0, 0.0, 0.0));
     }
 }

@@ -13,6 +13,7 @@ pub mod free_run;
 pub(crate) mod hypothetical;
 pub(crate) mod kinetic_band;
 pub(crate) mod least_squares;
+mod model;
 pub(crate) mod normalised;
 pub mod one_step;
 mod quantify;
@@ -29,4 +30,5 @@ pub mod width;
 pub const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
 
 pub use choice::{DelayChoice, ModelChoice, Options, ValveChoice};
+pub use model::Model;
 pub use quantify::{Estimate, quantify};

@@ -2,8 +2,7 @@
 
 use super::choice::{Options, ValveChoice};
 use super::class::Class;
-use super::normalised::NormalisedRecord;
-use super::normalised::normalise;
+use super::normalised::{NormalisedRecord, normalise};
 use super::sign;
 use super::slip_search::answer::{Answer, improvement, view_of};
 use super::slip_search::candidate::{Candidate, apart};

@@ -27,8 +27,7 @@
 use super::choice::Options;
 use super::class::Class;
 use super::evaluator::{View, lattice_index, lattice_tau};
-use super::normalised::normalise;
-use super::normalised::{NormalisedRecord, Start};
+use super::normalised::{NormalisedRecord, Start, normalise};
 use super::sign;
 use super::slip_search::candidate::{Candidate, LatticeFit};
 use super::slip_search::coarse_scan::CoarseScan;

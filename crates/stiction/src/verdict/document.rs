@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::rule::Opinion;
 use crate::detect::Indicator;
 pub use crate::ident::ESTIMATE_SCHEMA;
+use crate::ident::Model;
 use crate::record::Record;
 use crate::units::Moment;
 
@@ -372,6 +373,21 @@ pub struct Assessment {
 }
 
 impl Assessment {
+    /// The valve and process that were fitted; `None` where nothing was, or the numbers are not given.
+    #[must_use]
+    pub fn model(&self) -> Option<Model> {
+        let (fs, fd, process) = (self.fs?, self.fd?, self.process.as_ref()?);
+        Some(Model {
+            law: self.valve_model.unwrap_or(Law::He),
+            fs,
+            fd,
+            gain: process.gain,
+            time_constants_s: process.time_constants_s.clone(),
+            dead_time_s: process.dead_time_s,
+            integrating: process.integrating,
+        })
+    }
+
     /// An empty assessment: `inconclusive`, all numbers absent.
     #[must_use]
     pub const fn empty(window: Window, oscillation: Oscillation) -> Self {

@@ -19,7 +19,7 @@ const HALF_ODD: f64 = 0.5;
 const MOST_SETPOINT: f64 = 2.0;
 
 /// Names of the features that are made of the fit, in the order of documents.
-pub const OF_THE_FIT: [&str; 2] = ["likelihood", "confirmed"];
+pub(crate) const OF_THE_FIT: [&str; 2] = ["likelihood", "confirmed"];
 /// Detectors that are used in a feature of the fit, or left out for a PV on straight lines.
 const HORCH: &str = "horch";
 const JUMPS: &str = "jumps";

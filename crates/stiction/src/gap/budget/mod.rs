@@ -25,6 +25,7 @@ use cycle::Cycle;
 use parts::Split;
 use search::{Model, Searched};
 use series::Series;
+use shapes::Shape;
 
 /// What is known of a record before.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -62,17 +63,34 @@ pub struct Budget {
     pub smallest_sinusoid: Option<(f64, f64)>,
 }
 
+/// The series of a record, its noise model, and the effects found in it; `None` as for [`Budget::of`].
+fn search_in(record: &Record, known: &Known<'_>) -> Option<(Series, Model, Searched)> {
+    let finite = |x: &[f64]| x.iter().all(|v| v.is_finite());
+    if !finite(&record.pv) || !finite(&record.op_path) {
+        return None;
+    }
+    let series = Series::of(record, known)?;
+    let model = Model::of(&series)?;
+    let searched = search::search(&series, &model);
+    Some((series, model, searched))
+}
+
+/// The load that gains most under the noise model, of those that both halves confirm.
+#[must_use]
+pub(crate) fn acting_load(record: &Record, known: &Known<'_>) -> Option<String> {
+    let (_, model, searched) = search_in(record, known)?;
+    let mut confirmed = searched.added.iter().enumerate().filter(|(k, _)| halves::confirm(&model, &searched, *k));
+    confirmed.find_map(|(_, added)| match &added.shape {
+        Shape::Neighbour(load, _) => Some(load.name.clone()),
+        _ => None,
+    })
+}
+
 impl Budget {
     /// Splits a record; `None` where it is too short, OP or PV does not move, or no noise model can be fitted.
     #[must_use]
     pub fn of(record: &Record, known: Known<'_>) -> Option<Self> {
-        let finite = |x: &[f64]| x.iter().all(|v| v.is_finite());
-        if !finite(&record.pv) || !finite(&record.op_path) {
-            return None;
-        }
-        let series = Series::of(record, &known)?;
-        let model = Model::of(&series)?;
-        let searched = search::search(&series, &model);
+        let (series, model, searched) = search_in(record, &known)?;
         let confirmed = (0..searched.added.len()).map(|k| halves::confirm(&model, &searched, k)).collect();
         // The mean of a box holds its share of the noise.
         let by = series.of_pv[1] * (series.box_points as f64).sqrt();
@@ -106,7 +124,6 @@ impl Budget {
 mod tests {
     use proptest::prelude::*;
 
-    use super::shapes::Shape;
     use super::*;
     use crate::sim::noise::Noise;
 

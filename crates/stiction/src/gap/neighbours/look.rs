@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use super::super::budget::shapes::Shape;
-use super::super::budget::{Budget, Known};
+use super::super::budget::{Known, acting_load};
 use super::super::candidate::MAX_PARAMS;
 use super::super::effects::neighbour::EFFECT;
 use super::super::neighbour::{Load, Neighbour};
@@ -80,28 +79,16 @@ fn judged(
     let hits = scan.hits();
     let p_value = scan.p_value(seed);
     let loads = p_value.filter(|p| *p <= RARE).map_or_else(Vec::new, |p| chosen(neighbours, &hits, p));
+    let known = Known { models, from: problem.blocks.from, loads: &loads, ..Known::default() };
     let compared = Compared {
         offered: neighbours.len(),
         best: hits.first().map(|hit| neighbours[hit.neighbour].name.clone()),
         share: hits.first().map(|hit| hit.share),
         p_value,
-        acts: acting(record, Known { models, from: problem.blocks.from, loads: &loads, ..Known::default() }),
+        acts: (!loads.is_empty()).then(|| acting_load(record, &known)).flatten(),
         fitted: Vec::new(),
     };
     Some((compared, loads))
-}
-
-/// The load that gains most under the noise model, where both halves confirm it.
-fn acting(record: &Record, known: Known<'_>) -> Option<String> {
-    if known.loads.is_empty() {
-        return None;
-    }
-    let budget = Budget::of(record, known)?;
-    let mut confirmed = budget.searched.added.iter().zip(&budget.confirmed).filter(|(_, confirmed)| **confirmed);
-    confirmed.find_map(|(added, _)| match &added.shape {
-        Shape::Neighbour(load, _) => Some(load.name.clone()),
-        _ => None,
-    })
 }
 
 /// The signals that tell nearly as much as the best one, each from its past, as loads.

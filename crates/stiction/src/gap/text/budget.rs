@@ -46,11 +46,7 @@ pub(super) fn confirmed(d: &GapDocument) -> Option<String> {
     let is_told = |p: &&PartNote| {
         p.confirmed == Some(true) && !(d.cause.confirmed && p.id == d.cause.id) && p.share_pct >= LEAST_SHARE_PCT
     };
-    let noun = |id: &str| match id {
-        UPSETS => "steps and pulses".to_owned(),
-        WANDERING_CYCLE => "an oscillation from outside that wanders".to_owned(),
-        id => effect::noun(id),
-    };
+    let noun = |id: &str| if id == UPSETS { "steps and pulses".to_owned() } else { effect::noun(id) };
     let mut parts: Vec<&PartNote> = parts.filter(is_told).collect();
     parts.sort_by(|a, b| b.share_pct.total_cmp(&a.share_pct));
     let each: Vec<String> = parts.into_iter().map(|p| format!("{}, {}", noun(&p.id), percent(p.share_pct))).collect();
@@ -164,11 +160,11 @@ fn upsets(events: &[EventNote]) -> String {
     format!("{} upsets: {}", events.len(), events.iter().map(one).collect::<Vec<_>>().join(", "))
 }
 
-/// An oscillation from outside by its period and how long it keeps its phase.
+/// An external oscillation by its period and how long it keeps its phase.
 fn wandering_cycle(part: &PartNote) -> String {
     let value = |name: &str| part.parameters.get(name).map_or(f64::NAN, |q| q.value);
     let (period, periods) = (duration(value("period")), number(value("coherence")));
-    format!("an oscillation from outside of period {period} that keeps its phase for about {periods} periods")
+    format!("an external oscillation of period {period} that keeps its phase for about {periods} periods")
 }
 
 fn no_split(budget: &BudgetNote) -> Option<String> {
@@ -278,7 +274,7 @@ mod tests {
         let size = |value: f64, unit: &str| super::super::super::sizes::Quantity { value, unit: unit.to_owned() };
         part.parameters =
             [("period".to_owned(), size(37.0, "s")), ("coherence".to_owned(), size(6.0, "1"))].into_iter().collect();
-        let want = "an oscillation from outside of period 37 s that keeps its phase for about 6 periods, suspected, not confirmed (gain 52 nats)";
+        let want = "an external oscillation of period 37 s that keeps its phase for about 6 periods, suspected, not confirmed (gain 52 nats)";
         assert_eq!(words(&part), want);
     }
 

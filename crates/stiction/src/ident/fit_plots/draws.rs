@@ -10,6 +10,7 @@ use super::super::random::{seeded_rng, uniform};
 use super::super::slip_search::candidate::Candidate;
 use super::super::slip_search::evaluator::on_whole_record;
 use super::super::slip_search::local_search::{Nearness, random_steps};
+use super::super::slip_search::problem::Problem;
 use super::FitPlots;
 use crate::sim::slips::Law;
 
@@ -80,7 +81,7 @@ impl FitPlots<'_> {
     /// The answer after a few steps from where it is on another draw of the record.
     fn found_again(&self, normalised: &NormalisedRecord, rng: &mut ChaCha8Rng) -> Option<Candidate> {
         let c = &self.candidate;
-        on_whole_record(normalised, self.sign, c.law, c.class, |evaluator, view| {
+        on_whole_record(&Problem::new(normalised, self.sign), c.law, c.class, |evaluator, view| {
             let first = evaluator.met(view, [c.s, c.j], c.start, &c.fit)?;
             let found = random_steps(evaluator, view, first, FINE_STEPS, Nearness::USUAL, rng);
             evaluator.settle(view, &found)

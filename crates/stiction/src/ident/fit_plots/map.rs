@@ -34,6 +34,7 @@ pub struct ErrorMap {
 
 /// Share of the way from the least squared error to that without friction within which a cell is still suggested.
 const SUGGESTED: f64 = 0.1;
+
 /// Places of a cell besides its middle, within the triangle.
 fn around([s, j]: [f64; 2], step: f64) -> Vec<[f64; 2]> {
     let quarter = 0.25 * step;
@@ -54,7 +55,10 @@ impl FitPlots<'_> {
             Some((centred(&own), self.rms(evaluator.polish(view, &own)?.sse)))
         });
         let mut rms = |[s, j]: [f64; 2]| surface.mse(0.5 * (s + j) * self.span, 0.5 * (s - j) * self.span).sqrt();
-        let mut cells = vec![Cell { fs: 0.0, fd: 0.0, rms: Some(rms([0.0; 2])) }];
+        // Where no process follows OP as it is, there is none.
+        let without = Some(rms([0.0; 2])).filter(|rms| rms.is_finite());
+        let without = without.unwrap_or_else(|| self.evaluate(|_, view| self.rms(view.nothing())));
+        let mut cells = vec![Cell { fs: 0.0, fd: 0.0, rms: Some(without) }];
         let count = (1.0 / step.max(1e-3) + 1e-9).floor() as u32;
         for a in 1..=count {
             for b in 0..=a.min(count - a) {

@@ -13,53 +13,16 @@ pub use map::{Cell, ErrorMap};
 use super::choice::Options;
 use super::class::Class;
 use super::evaluator::{View, lattice_index};
-use super::normalised::NormalisedRecord;
-use super::normalised::normalise;
-use super::quantify::Estimate;
+use super::model::Model;
+use super::normalised::{NormalisedRecord, normalise};
 use super::slip_search::answer::{EARNED, FITTED_SHARE, held_out};
 use super::slip_search::candidate::{Candidate, LatticeFit};
 use super::slip_search::evaluator::{Evaluator, Polished, on_whole_record};
 use super::slip_search::part::frictionless;
-use super::slip_search::problem::EVEN_STARTS;
+use super::slip_search::problem::{EVEN_STARTS, Problem};
 use crate::record::Record;
 use crate::signal::stats;
-use crate::sim::slips::{Law, Sequence};
-
-/// Valve and process of an estimate.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Model {
-    /// Valve model.
-    pub law: Law,
-    /// Order of the process, 1 or 2.
-    pub order: u8,
-    /// Whether the process is integrating.
-    pub integrating: bool,
-    /// Dead band plus stick band, OP units.
-    pub s: f64,
-    /// Slip jump, OP units.
-    pub j: f64,
-    /// Process gain; only its sign is used here.
-    pub gain: f64,
-    /// Time constants, s, largest first.
-    pub time_constants_s: Vec<f64>,
-    /// Dead time, s.
-    pub dead_time_s: f64,
-}
-
-impl From<&Estimate> for Model {
-    fn from(e: &Estimate) -> Self {
-        Self {
-            law: e.law,
-            order: e.class.order(),
-            integrating: e.class.integrates(),
-            s: e.s,
-            j: e.j,
-            gain: e.gain,
-            time_constants_s: e.time_constants_s.clone(),
-            dead_time_s: e.dead_time_s,
-        }
-    }
-}
+use crate::sim::slips::Sequence;
 
 /// The class of an order.
 const fn class_of(order: u8, integrating: bool) -> Class {
@@ -71,17 +34,10 @@ const fn class_of(order: u8, integrating: bool) -> Class {
     }
 }
 
-impl Model {
-    /// The process, its time constants on the lattice.
-    fn process(&self, record: &Record) -> LatticeFit {
-        let place = |index: usize| {
-            let tau_s = self.time_constants_s.get(index).or_else(|| self.time_constants_s.first());
-            lattice_index((tau_s.copied().unwrap_or(0.0) / record.point_s()).max(1e-3))
-        };
-        let lag = (self.dead_time_s / record.ts_s + 1.0) / record.box_samples as f64;
-        let (delay, fraction) = (lag as usize, lag.fract());
-        LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places: [place(0), place(1)], delay, fraction }
-    }
+/// The model's process, its time constants on the lattice.
+fn on_lattice(model: &Model, record: &Record) -> LatticeFit {
+    let (places, lag) = (model.taus(record).map(|tau| lattice_index(tau.max(1e-3))), model.lag(record));
+    LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() }
 }
 
 /// A model refitted to its record.
@@ -139,23 +95,25 @@ impl<'a> FitPlots<'a> {
     #[must_use]
     pub fn new(record: &'a Record, options: &Options, model: &Model) -> Option<Self> {
         let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
-        if record.len() < 30 || !span.is_normal() || !deviation.is_normal() || model.s.is_nan() || model.s <= 0.0 {
+        let (s, j) = (model.fs + model.fd, model.fs - model.fd);
+        if record.len() < 30 || !span.is_normal() || !deviation.is_normal() || s.is_nan() || s <= 0.0 {
             return None;
         }
         let normalised = normalise(record, options, span, deviation);
-        let (class, sign) = (class_of(model.order, model.integrating), if model.gain < 0.0 { -1.0 } else { 1.0 });
-        let bands = [model.s / span, model.j.clamp(0.0, model.s) / span];
-        let told = model.process(record);
-        let (candidate, process) = on_whole_record(&normalised, sign, model.law, class, |evaluator, view| {
-            let candidate = refit(evaluator, view, bands, &told)?;
-            Some((candidate, evaluator.polish(view, &candidate)?))
-        })?;
+        let (class, sign) = (model.class()?, if model.gain < 0.0 { -1.0 } else { 1.0 });
+        let bands = [s / span, j.clamp(0.0, s) / span];
+        let told = on_lattice(model, record);
+        let (candidate, process) =
+            on_whole_record(&Problem::new(&normalised, sign), model.law, class, |evaluator, view| {
+                let candidate = refit(evaluator, view, bands, &told)?;
+                Some((candidate, evaluator.polish(view, &candidate)?))
+            })?;
         Some(Self { record, options: *options, normalised, candidate, process, sign, span, deviation })
     }
 
     /// Does some `work` with an evaluator of the record.
     fn evaluate<T>(&self, work: impl FnOnce(&mut Evaluator<'_>, &mut View) -> T) -> T {
-        on_whole_record(&self.normalised, self.sign, self.candidate.law, self.candidate.class, work)
+        on_whole_record(&Problem::new(&self.normalised, self.sign), self.candidate.law, self.candidate.class, work)
     }
 
     /// What the model leaves of PV from the first valid point on, standard deviations of PV.

@@ -4,6 +4,7 @@ use super::*;
 use crate::ident::class::Shape;
 use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
 use crate::sim::noise::Noise;
+use crate::sim::slips::Law;
 use crate::sim::valve::he_step;
 
 const FS: f64 = 2.4;
@@ -40,23 +41,15 @@ fn options() -> Options {
     }
 }
 
-fn truth(order: u8, time_constants_s: &[f64], dead_time_s: f64) -> Model {
-    Model {
-        law: Law::He,
-        order,
-        integrating: false,
-        s: FS + FD,
-        j: FS - FD,
-        gain: 1.5,
-        time_constants_s: time_constants_s.to_vec(),
-        dead_time_s,
-    }
+fn truth(time_constants_s: &[f64], dead_time_s: f64) -> Model {
+    let (law, gain, time_constants_s) = (Law::He, 1.5, time_constants_s.to_vec());
+    Model { law, fs: FS, fd: FD, gain, time_constants_s, dead_time_s, integrating: false }
 }
 
 #[test]
 fn the_models_curves_are_the_plants_but_for_noise() {
     let (record, stem) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
-    let plots = FitPlots::new(&record, &options(), &truth(1, &[18.0], 4.0)).unwrap();
+    let plots = FitPlots::new(&record, &options(), &truth(&[18.0], 4.0)).unwrap();
     let run = plots.free_run();
     assert_eq!((run.valve.len(), run.pv.len(), run.residual.len()), (600, 600 - run.from, 600 - run.from));
     let rms = stats::std_dev(&run.residual);
@@ -71,7 +64,7 @@ fn the_models_curves_are_the_plants_but_for_noise() {
 #[test]
 fn the_map_is_least_near_the_truth_and_stays_on_the_triangle() {
     let (record, _) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
-    let plots = FitPlots::new(&record, &options(), &truth(1, &[18.0], 4.0)).unwrap();
+    let plots = FitPlots::new(&record, &options(), &truth(&[18.0], 4.0)).unwrap();
     let span = plots.span();
     for order in [1, 2] {
         let map = plots.error_map(order, 0.05).unwrap();
@@ -99,15 +92,15 @@ fn held_out_figures_tell_the_order() {
         assert_eq!(chart.figures.iter().map(|f| f.order).collect::<Vec<_>>(), [1, 2]);
         chart.figures[0].held_out_rms / chart.figures[1].held_out_rms
     };
-    let plain = gain(&one, &truth(1, &[18.0], 4.0));
-    let rich = gain(&two, &truth(2, &[28.0, 16.0], 4.0));
+    let plain = gain(&one, &truth(&[18.0], 4.0));
+    let rich = gain(&two, &truth(&[28.0, 16.0], 4.0));
     assert!(plain < 1.05 && rich > 1.2, "{plain} {rich}");
 }
 
 #[test]
 fn draws_repeat_with_their_seed_and_lie_around_the_truth() {
     let (record, _) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
-    let plots = FitPlots::new(&record, &options(), &truth(1, &[18.0], 4.0)).unwrap();
+    let plots = FitPlots::new(&record, &options(), &truth(&[18.0], 4.0)).unwrap();
     let drawn = plots.bootstrap(12, 5);
     assert_eq!(drawn, plots.bootstrap(12, 5));
     assert_ne!(drawn, plots.bootstrap(12, 6));
@@ -125,9 +118,9 @@ fn draws_repeat_with_their_seed_and_lie_around_the_truth() {
 fn what_cannot_be_fitted_has_no_portrait() {
     let (record, _) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
     let still = Record::uniform(1.0, vec![1.0; 100], vec![2.0; 100]);
-    assert!(FitPlots::new(&still, &options(), &truth(1, &[18.0], 4.0)).is_none());
-    let huge = Model { s: 100.0, j: 100.0, ..truth(1, &[18.0], 4.0) };
+    assert!(FitPlots::new(&still, &options(), &truth(&[18.0], 4.0)).is_none());
+    let huge = Model { fs: 100.0, fd: 0.0, ..truth(&[18.0], 4.0) };
     assert!(FitPlots::new(&record, &options(), &huge).is_none());
-    let odd = Model { s: f64::NAN, ..truth(1, &[18.0], 4.0) };
+    let odd = Model { fs: f64::NAN, ..truth(&[18.0], 4.0) };
     assert!(FitPlots::new(&record, &options(), &odd).is_none());
 }

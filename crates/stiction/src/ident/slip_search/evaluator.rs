@@ -4,10 +4,9 @@ use super::candidate::{Candidate, LatticeFit};
 use super::problem::Problem;
 use crate::ident::class::Class;
 use crate::ident::evaluator::{Best, HeldSums, Reduced, Table, View, lattice_index, lattice_tau, reduce};
-use crate::ident::kinetic_band::Freedom;
-use crate::ident::kinetic_band::band_freedom;
+use crate::ident::kinetic_band::{Freedom, band_freedom};
 use crate::ident::least_squares::Gram;
-use crate::ident::normalised::{NormalisedRecord, Start};
+use crate::ident::normalised::Start;
 use crate::sim::slips::{Law, Stem};
 use crate::sim::steps::Steps;
 
@@ -72,15 +71,13 @@ pub(crate) struct Polished {
 
 /// Does some `work` with an evaluator of a whole record and its plain view.
 pub(crate) fn on_whole_record<T>(
-    normalised: &NormalisedRecord,
-    sign: f64,
+    problem: &Problem<'_>,
     law: Law,
     class: Class,
     work: impl FnOnce(&mut Evaluator<'_>, &mut View) -> T,
 ) -> T {
-    let problem = Problem::new(normalised, sign);
     let points = problem.points();
-    work(&mut Evaluator::new(&problem, law, class, points), &mut problem.view(0.0, points))
+    work(&mut Evaluator::new(problem, law, class, points), &mut problem.view(0.0, points))
 }
 
 impl<'a> Evaluator<'a> {

@@ -9,8 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use super::candidate::{Candidate, LatticeFit, apart};
 use super::evaluator::Evaluator;
 use crate::ident::evaluator::View;
-use crate::ident::normalised::SlipEnd;
-use crate::ident::normalised::Start;
+use crate::ident::normalised::{SlipEnd, Start};
 use crate::ident::random::{moved, normal, uniform};
 
 /// Smallest s that is looked at, spans.

@@ -44,7 +44,7 @@ pub(super) struct Kernel {
 /// The factors of its covariance.
 #[derive(Debug, Clone)]
 pub(super) struct Factors {
-    fall: [f64; MOST],
+    decay_per_box: [f64; MOST],
     u: Vec<[f64; MOST]>,
     w: Vec<[f64; MOST]>,
     /// Variance of each innovation.
@@ -61,14 +61,18 @@ impl Kernel {
         let [slow, quick] = self.wanders;
         let none = StochasticCycle { wander: Wander { variance: 0.0, decay: 1.0 }, period: 1.0 };
         let cycle = self.cycle.unwrap_or(none);
-        let fall = [slow, quick, cycle.wander, cycle.wander].map(|wander| libm::exp(-1.0 / wander.decay));
+        let decay_per_box = [slow, quick, cycle.wander, cycle.wander].map(|wander| libm::exp(-1.0 / wander.decay));
         let (sin, cos) = (libm::sin(TAU / cycle.period), libm::cos(TAU / cycle.period));
         let size = cycle.wander.variance;
         let whole = self.white + slow.variance + quick.variance + size;
         let (mut s, mut c) = (0.0, 1.0);
         let mut sums = [[0.0; MOST]; MOST];
-        let mut out =
-            Factors { fall, u: Vec::with_capacity(n), w: Vec::with_capacity(n), variances: Vec::with_capacity(n) };
+        let mut out = Factors {
+            decay_per_box,
+            u: Vec::with_capacity(n),
+            w: Vec::with_capacity(n),
+            variances: Vec::with_capacity(n),
+        };
         for _ in 0..n {
             let u = [slow.variance, quick.variance, size * c, size * s];
             let known: [f64; MOST] = core::array::from_fn(|i| product(&sums[i], &u));
@@ -80,7 +84,7 @@ impl Kernel {
             let w: [f64; MOST] = core::array::from_fn(|i| (v[i] - known[i]) / d);
             for i in 0..MOST {
                 for j in 0..MOST {
-                    sums[i][j] = fall[i] * fall[j] * (sums[i][j] + d * w[i] * w[j]);
+                    sums[i][j] = decay_per_box[i] * decay_per_box[j] * (sums[i][j] + d * w[i] * w[j]);
                 }
             }
             (s, c) = (s * cos + c * sin, c * cos - s * sin);
@@ -99,7 +103,7 @@ impl Factors {
         let mut out = Vec::with_capacity(x.len());
         for (k, x) in x.iter().enumerate() {
             let e = x - product(&self.u[k], &state);
-            state = core::array::from_fn(|i| self.fall[i] * (state[i] + self.w[k][i] * e));
+            state = core::array::from_fn(|i| self.decay_per_box[i] * (state[i] + self.w[k][i] * e));
             out.push(e / self.variances[k].sqrt());
         }
         out
@@ -113,7 +117,7 @@ impl Factors {
             let x = whitened[k] / self.variances[k].sqrt() - product(&self.w[k], &state);
             out[k] = x;
             // From this point to the one before.
-            state = core::array::from_fn(|i| self.fall[i] * (state[i] + self.u[k][i] * x));
+            state = core::array::from_fn(|i| self.decay_per_box[i] * (state[i] + self.u[k][i] * x));
         }
         out
     }
@@ -121,8 +125,8 @@ impl Factors {
     /// What of a whitened series is likeliest the cycle's.
     pub fn cycle(&self, cycle: StochasticCycle, whitened: &[f64]) -> Vec<f64> {
         let x = self.solved(whitened);
-        let fall = libm::exp(-1.0 / cycle.wander.decay);
-        let turn = [fall * libm::cos(TAU / cycle.period), fall * libm::sin(TAU / cycle.period)];
+        let decay_per_box = libm::exp(-1.0 / cycle.wander.decay);
+        let turn = [decay_per_box * libm::cos(TAU / cycle.period), decay_per_box * libm::sin(TAU / cycle.period)];
         let before = turned(turn, x.iter());
         let mut after = turned(turn, x.iter().rev());
         after.reverse();

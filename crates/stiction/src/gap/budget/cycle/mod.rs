@@ -10,7 +10,7 @@ mod fit;
 mod kernel;
 mod simplex;
 
-use core::f64::consts::TAU;
+use core::f64::consts::{PI, TAU};
 
 use super::search::{Added, LEAST_GAIN, Searched};
 use super::series::{START, Series};
@@ -40,10 +40,10 @@ const LEAST_SIZE: f64 = 0.12;
 /// Its power over that of valve and process at its frequency.
 const LEAST_POWER: f64 = 0.1;
 /// Its coherence with OP: of one near the loop's own, of another.
-const ANSWERED: [f64; 2] = [0.65, 0.5];
+const LEAST_COHERENCE_WITH_OP: [f64; 2] = [0.65, 0.5];
 /// What OP adds to the likelihood beside the cycle, nats.
 const LEAST_BY_OP: f64 = 30.0;
-/// Difference of periods, as a share, below which a sinusoid that was named is the same.
+/// Least difference of periods, as a share, below which a sinusoid that was named is the same.
 const SAME: f64 = 0.15;
 
 /// A cycle that was named. It is suspected at most: halves that both gained from one were as often wrong as right.
@@ -67,7 +67,9 @@ pub(crate) fn find(series: &Series, searched: &Searched) -> Option<Cycle> {
     without.sort_by(|x, y| y.log_likelihood.total_cmp(&x.log_likelihood));
     let found = Found::of(&boxed, &without).filter(|found| found.is_from_outside(&boxed))?;
     let period = found.cycle.period * boxed.points as f64;
-    let is_same = |k: &Added| matches!(k.shape, Shape::Sinusoid(f) if (f * period - 1.0).abs() < SAME);
+    // As far apart as the cycle is wide.
+    let same = SAME.max(1.0 / (PI * found.cycle.coherence()));
+    let is_same = |k: &Added| matches!(k.shape, Shape::Sinusoid(f) if (f * period - 1.0).abs() < same);
     if searched.added.iter().any(is_same) {
         return None;
     }
@@ -89,7 +91,7 @@ struct Found {
     by_op: f64,
     /// Its power over that of valve and process at its frequency, and its coherence with OP.
     power: f64,
-    answered: f64,
+    coherence_with_op: f64,
 }
 
 impl Found {
@@ -112,13 +114,13 @@ impl Found {
         let with = boxed.fitted(&at, &bare.driver)?;
         let cycle = kernel(&at).cycle?;
         let path = with.factors.cycle(cycle, &with.innovations);
-        let turned = |x: &[f64]| turned_back(x, cycle.period);
-        let own = turned(&path);
+        let at_period = |x: &[f64]| demodulated(x, cycle.period);
+        let own = at_period(&path);
         Some(Self {
             gain,
             by_op: log_likelihood - alone[0].max(alone[1]),
-            power: power(&own) / power(&turned(&with.run())).max(f64::MIN_POSITIVE),
-            answered: together(&own, &turned(&boxed.op)),
+            power: power(&own) / power(&at_period(&with.run())).max(f64::MIN_POSITIVE),
+            coherence_with_op: coherence(&own, &at_period(&boxed.op)),
             cycle,
             path,
         })
@@ -138,12 +140,12 @@ impl Found {
             && boxed.n() as f64 >= LEAST_CYCLES * self.cycle.period
             && stats::std_dev(&self.path) >= LEAST_SIZE
             && self.power >= LEAST_POWER
-            && self.answered >= ANSWERED[which]
+            && self.coherence_with_op >= LEAST_COHERENCE_WITH_OP[which]
     }
 }
 
-/// A signal turned back by a period, so that what has that period is steady, averaged over two of it.
-fn turned_back(x: &[f64], period: f64) -> [Vec<f64>; 2] {
+/// A signal shifted in frequency, so that what has this period is steady, and averaged over two periods.
+fn demodulated(x: &[f64], period: f64) -> [Vec<f64>; 2] {
     let mean = stats::mean(x);
     let width = 2 * (period as usize) + 1;
     let by = |wave: fn(f64) -> f64| {
@@ -157,8 +159,8 @@ fn power([re, im]: &[Vec<f64>; 2]) -> f64 {
     stats::dot(re, re) + stats::dot(im, im)
 }
 
-/// How much of two signals that are turned back goes together, 0 to 1.
-fn together(x: &[Vec<f64>; 2], y: &[Vec<f64>; 2]) -> f64 {
+/// Coherence of two demodulated signals, 0 to 1.
+fn coherence(x: &[Vec<f64>; 2], y: &[Vec<f64>; 2]) -> f64 {
     let re = stats::dot(&x[0], &y[0]) + stats::dot(&x[1], &y[1]);
     let im = stats::dot(&x[0], &y[1]) - stats::dot(&x[1], &y[0]);
     ((re * re + im * im) / (power(x) * power(y)).max(f64::MIN_POSITIVE)).sqrt()

@@ -10,6 +10,7 @@ pub(super) fn minimum(
     most: usize,
     mut cost: impl FnMut(&[f64]) -> f64,
 ) -> (Vec<f64>, f64) {
+    let mut cost = |x: &[f64]| Some(cost(x)).filter(|c| !c.is_nan()).unwrap_or(f64::INFINITY);
     let size = start.len();
     let n = size as f64;
     let [grow, inwards, shrink] = [1.0 + 2.0 / n, 0.75 - 0.5 / n, 1.0 - 1.0 / n];
