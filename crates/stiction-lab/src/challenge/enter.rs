@@ -251,7 +251,7 @@ impl Made {
                 (shape, 1.8 * size * scale.pv_sd * unit)
             }
             Kind::ColouredNoise => return self.enter_coloured(size, scale, draw),
-            Kind::WanderingCycle => return self.enter_wandering(size, scale, draw),
+            Kind::WanderingCycle => return self.enter_stochastic_cycle(size, scale, draw),
             Kind::UpstreamCycle => {
                 let period = scale.period * draw.log_between(0.35, 2.5);
                 self.note("period", period, "samples");
@@ -301,7 +301,7 @@ impl Made {
     }
 
     /// A rotation that is damped and driven by noise (Harvey 1989), on PV.
-    fn enter_wandering(&mut self, size: f64, scale: &Scale, draw: &mut Draw) {
+    fn enter_stochastic_cycle(&mut self, size: f64, scale: &Scale, draw: &mut Draw) {
         let is_near = draw.chance(0.25);
         let ratio = loop {
             let ratio = draw.log_between(0.3, 4.0);

@@ -56,7 +56,7 @@ fn recorded_per_point(record: &Record) -> f64 {
     }
 }
 
-/// A record and all that a verdict on it stands on.
+/// A record and everything that a verdict on it is based on.
 pub(super) struct Evidence<'r> {
     pub record: &'r Record,
     pub first: FirstLook,

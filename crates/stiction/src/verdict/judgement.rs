@@ -1,4 +1,4 @@
-//! From evidence to a verdict and a grade: what the classifier says, and what speaks against saying it.
+//! From evidence to a verdict and a grade: what the classifier says, and why that is sometimes not reported.
 
 use super::cause;
 use super::document::{Assessment, Gate, Implausible, Verdict};

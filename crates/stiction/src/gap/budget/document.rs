@@ -19,7 +19,7 @@ use crate::signal::stats;
 pub const VALVE_AND_PROCESS: &str = "valve_and_process";
 /// Several loads that step or last a while.
 pub(crate) const UPSETS: &str = "upsets";
-/// An oscillation from outside whose phase and amplitude wander.
+/// An external oscillation of wandering phase and amplitude.
 pub(crate) const WANDERING_CYCLE: &str = "wandering_cycle";
 /// What wanders from outside.
 pub const DISTURBANCE: &str = "disturbance";
@@ -219,7 +219,7 @@ impl BudgetNote {
     }
 }
 
-/// The row of an oscillation that wanders.
+/// The row of an external oscillation of wandering phase.
 fn cycle_note(cycle: &Cycle, series: &Series, row: PartNote) -> PartNote {
     let quantity = |value: f64, unit: &str| Quantity { value, unit: unit.to_owned() };
     let period_s = cycle.period * series.point_s;

@@ -53,7 +53,7 @@ pub struct Budget {
     pub searched: Searched,
     /// Whether the halves confirm each effect.
     pub confirmed: Vec<bool>,
-    /// An oscillation from outside that wanders.
+    /// An external oscillation of wandering phase.
     pub cycle: Option<Cycle>,
     /// The parts.
     pub split: Split,
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn an_oscillation_from_outside_that_wanders_is_named_with_its_period() {
+    fn an_external_oscillation_of_wandering_phase_is_named_with_its_period() {
         let row = |cycle: f64, seed: u64| {
             let record = Loop { cycle, ..Loop::default() }.run(seed).0;
             let budget = Budget::of(&record, Known { period: Some(150.0), ..Known::default() }).unwrap();

@@ -66,7 +66,7 @@ pub struct Split {
     pub cause: Option<Part>,
     /// Each part of [`Searched::parts`].
     pub effects: Vec<Part>,
-    /// An oscillation from outside that wanders.
+    /// An external oscillation of wandering phase.
     pub cycle: Option<Part>,
     /// What wanders, as far as its own past predicts it; with valve and process where these are not told from it.
     pub disturbance: Part,

@@ -143,7 +143,7 @@ fn words(part: &PartNote) -> String {
             let gain = part.gain_nats.map_or_else(String::new, |g| format!(" (gain {} nats)", number(g)));
             let what = match id {
                 UPSETS => upsets(&part.events),
-                WANDERING_CYCLE => wandering_cycle(part),
+                WANDERING_CYCLE => external_oscillation(part),
                 id => effect::phrase_of(id, &part.parameters),
             };
             format!("{what}, {sure}{gain}")
@@ -161,7 +161,7 @@ fn upsets(events: &[EventNote]) -> String {
 }
 
 /// An external oscillation by its period and how long it keeps its phase.
-fn wandering_cycle(part: &PartNote) -> String {
+fn external_oscillation(part: &PartNote) -> String {
     let value = |name: &str| part.parameters.get(name).map_or(f64::NAN, |q| q.value);
     let (period, periods) = (duration(value("period")), number(value("coherence")));
     format!("an external oscillation of period {period} that keeps its phase for about {periods} periods")

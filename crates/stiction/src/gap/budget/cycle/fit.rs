@@ -2,7 +2,7 @@
 
 use core::f64::consts::TAU;
 
-use super::kernel::{Factors, Kernel, StochasticCycle, Wander};
+use super::kernel::{CorrelatedNoise, Factors, Kernel, StochasticCycle};
 use super::simplex::minimum;
 use crate::gap::budget::arx::solve;
 use crate::gap::budget::search::Searched;
@@ -20,7 +20,7 @@ const FAR: f64 = 100.0;
 /// Time constants and dead times, periods, from which a process is fitted.
 const PROCESSES: [[f64; 2]; 3] = [[0.1, 0.1], [0.4, 0.1], [0.2, 0.3]];
 /// Periods that are tried for a cycle; the shortest, boxes, and the longest, a part of the record; coherences, periods; and
-/// the cycle's part of what wanders.
+/// the cycle's part of the correlated variance.
 pub(super) const PERIODS: usize = 24;
 const SHORTEST: f64 = 5.0;
 const LONGEST: f64 = 1.0 / 3.0;
@@ -45,24 +45,25 @@ pub(super) enum Driver {
     Lagged(Vec<f64>),
 }
 
-/// What is searched, as logarithms: lag and dead time; the white variance; variance and decay of what wanders, twice; and
+/// What is searched, as logarithms: lag and dead time; the white variance; variance and decay of two correlated parts; and
 /// variance, period and coherence (periods) of a cycle. Times in boxes, PV's variance 1.
 pub(super) type Point = Vec<f64>;
 const LAG: usize = 0;
 const DEAD_TIME: usize = 1;
 const WHITE: usize = 2;
-const WANDERS: [usize; 2] = [3, 5];
+const CORRELATED: [usize; 2] = [3, 5];
 const CYCLE: usize = 7;
 /// First steps of the search along each.
 const STEPS: [f64; 10] = [0.4, 0.4, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.15, 0.5];
 
 /// The noise that a point stands for.
 pub(super) fn kernel(x: &[f64]) -> Kernel {
-    let wander = |variance: f64, decay: f64| Wander { variance: libm::exp(variance), decay: libm::exp(decay) };
-    let cycle = |x: &[f64]| StochasticCycle { wander: wander(x[0], x[1] + x[2]), period: libm::exp(x[1]) };
+    let correlated =
+        |variance: f64, decay: f64| CorrelatedNoise { variance: libm::exp(variance), decay: libm::exp(decay) };
+    let cycle = |x: &[f64]| StochasticCycle { envelope: correlated(x[0], x[1] + x[2]), period: libm::exp(x[1]) };
     Kernel {
         white: libm::exp(x[WHITE]),
-        wanders: WANDERS.map(|at| wander(x[at], x[at + 1])),
+        correlated: CORRELATED.map(|at| correlated(x[at], x[at + 1])),
         cycle: x.get(CYCLE..CYCLE + 3).map(cycle),
     }
 }
@@ -209,15 +210,15 @@ impl Boxed {
     /// Places of a cycle beside a fit without, the most promising first and apart in period.
     pub(super) fn places(&self, without: &Without) -> Vec<Point> {
         let bare = &without.at;
-        let wandering: f64 = WANDERS.iter().map(|at| libm::exp(bare[*at])).sum();
+        let variance: f64 = CORRELATED.iter().map(|at| libm::exp(bare[*at])).sum();
         let [low, high] = [SHORTEST, LONGEST * self.n() as f64].map(libm::log);
         let mut all = Vec::new();
         for k in 0..PERIODS {
             let period = low + (high - low) * k as f64 / (PERIODS - 1) as f64;
             for (coherence, part) in COHERENCES.iter().flat_map(|c| PARTS.iter().map(move |part| (*c, *part))) {
                 let mut x = bare.clone();
-                WANDERS.iter().for_each(|at| x[*at] += libm::log(1.0 - part));
-                x.extend([libm::log(part * wandering.max(0.02)), period, libm::log(coherence)]);
+                CORRELATED.iter().for_each(|at| x[*at] += libm::log(1.0 - part));
+                x.extend([libm::log(part * variance.max(0.02)), period, libm::log(coherence)]);
                 if let Some(fitted) = self.fitted(&x, &without.driver) {
                     all.push((fitted.log_likelihood, x));
                 }

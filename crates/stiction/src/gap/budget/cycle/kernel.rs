@@ -1,4 +1,4 @@
-//! A noise by its autocovariance: white, two that wander each by itself, and a stochastic cycle (Harvey 1989, ch. 2.3), which
+//! A noise by its autocovariance: white, two correlated parts, and a stochastic cycle (Harvey 1989, ch. 2.3), which
 //! is a rotation that is damped and driven by noise: `variance exp(-lag / decay) cos(2 pi lag / period)`.
 //!
 //! Such a covariance is factored as `L D L'` in time proportional to its length (Foreman-Mackey and others, arXiv
@@ -6,29 +6,29 @@
 
 use core::f64::consts::TAU;
 
-/// Columns of the factors: one for each that wanders, two for a cycle.
+/// Columns of the factors: one for each correlated part, two for a cycle.
 const MOST: usize = 4;
 /// Least variance of an innovation, that of PV being 1.
 const LEAST: f64 = 1e-12;
 
-/// One that wanders: its variance and the points after which its autocorrelation has fallen to 1/e.
+/// One that correlated: its variance and the points after which its autocorrelation has fallen to 1/e.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Wander {
+pub(super) struct CorrelatedNoise {
     pub variance: f64,
     pub decay: f64,
 }
 
-/// A cycle: one that wanders while it turns. Its period, points.
+/// An oscillation whose amplitude and phase are such noises, and its period, points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct StochasticCycle {
-    pub wander: Wander,
+    pub envelope: CorrelatedNoise,
     pub period: f64,
 }
 
 impl StochasticCycle {
     /// Periods after which its autocorrelation has fallen to 1/e.
     pub fn coherence(&self) -> f64 {
-        self.wander.decay / self.period
+        self.envelope.decay / self.period
     }
 }
 
@@ -37,7 +37,7 @@ impl StochasticCycle {
 pub(super) struct Kernel {
     /// Variance of the white part.
     pub white: f64,
-    pub wanders: [Wander; 2],
+    pub correlated: [CorrelatedNoise; 2],
     pub cycle: Option<StochasticCycle>,
 }
 
@@ -58,12 +58,12 @@ fn product(x: &[f64; MOST], y: &[f64; MOST]) -> f64 {
 impl Kernel {
     /// The factors for `n` points; `None` where the covariance is singular or no number.
     pub fn factors(&self, n: usize) -> Option<Factors> {
-        let [slow, quick] = self.wanders;
-        let none = StochasticCycle { wander: Wander { variance: 0.0, decay: 1.0 }, period: 1.0 };
+        let [slow, quick] = self.correlated;
+        let none = StochasticCycle { envelope: CorrelatedNoise { variance: 0.0, decay: 1.0 }, period: 1.0 };
         let cycle = self.cycle.unwrap_or(none);
-        let decay_per_box = [slow, quick, cycle.wander, cycle.wander].map(|wander| libm::exp(-1.0 / wander.decay));
+        let decay_per_box = [slow, quick, cycle.envelope, cycle.envelope].map(|noise| libm::exp(-1.0 / noise.decay));
         let (sin, cos) = (libm::sin(TAU / cycle.period), libm::cos(TAU / cycle.period));
-        let size = cycle.wander.variance;
+        let size = cycle.envelope.variance;
         let whole = self.white + slow.variance + quick.variance + size;
         let (mut s, mut c) = (0.0, 1.0);
         let mut sums = [[0.0; MOST]; MOST];
@@ -125,12 +125,12 @@ impl Factors {
     /// What of a whitened series is likeliest the cycle's.
     pub fn cycle(&self, cycle: StochasticCycle, whitened: &[f64]) -> Vec<f64> {
         let x = self.solved(whitened);
-        let decay_per_box = libm::exp(-1.0 / cycle.wander.decay);
+        let decay_per_box = libm::exp(-1.0 / cycle.envelope.decay);
         let turn = [decay_per_box * libm::cos(TAU / cycle.period), decay_per_box * libm::sin(TAU / cycle.period)];
         let before = turned(turn, x.iter());
         let mut after = turned(turn, x.iter().rev());
         after.reverse();
-        let sum = |((own, before), after): ((&f64, &f64), &f64)| cycle.wander.variance * (own + before + after);
+        let sum = |((own, before), after): ((&f64, &f64), &f64)| cycle.envelope.variance * (own + before + after);
         x.iter().zip(&before).zip(&after).map(sum).collect()
     }
 }
@@ -155,9 +155,10 @@ mod tests {
 
     #[test]
     fn factors_are_those_of_the_whole_covariance() {
-        let wander = |variance: f64, decay: f64| Wander { variance, decay };
-        let cycle = StochasticCycle { wander: wander(0.7, 30.0), period: 11.0 };
-        let kernel = Kernel { white: 0.1, wanders: [wander(0.4, 3.0), wander(0.2, 50.0)], cycle: Some(cycle) };
+        let correlated = |variance: f64, decay: f64| CorrelatedNoise { variance, decay };
+        let cycle = StochasticCycle { envelope: correlated(0.7, 30.0), period: 11.0 };
+        let kernel =
+            Kernel { white: 0.1, correlated: [correlated(0.4, 3.0), correlated(0.2, 50.0)], cycle: Some(cycle) };
         let n = 60;
         let mut noise = Noise::new(3, 1);
         let y: Vec<f64> = (0..n).map(|_| noise.gaussian()).collect();

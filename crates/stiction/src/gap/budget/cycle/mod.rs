@@ -1,4 +1,4 @@
-//! An oscillation from outside whose phase and amplitude wander: a stochastic cycle in what the likeliest process leaves of PV.
+//! An external oscillation of wandering phase and amplitude: a stochastic cycle in what the likeliest process leaves of PV.
 //!
 //! The process is the base's free run, or a first-order lag with a dead time behind OP or a fitted stem. It is refitted
 //! together with the noise ([`kernel::Kernel`]), because the base was fitted without the cycle. The noise with a cycle is
