@@ -5,15 +5,15 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use divan::{Bencher, black_box};
-use stiction::detect::{self, View};
-use stiction::gap::{GapOptions, Serial, diagnose};
-use stiction::ident::class::Class;
-use stiction::ident::{Options, controller, evaluator, quantify};
-use stiction::record::Record;
-use stiction::signal::stats;
-use stiction::sim::slips::{FirstSlip, Law, Stroke};
-use stiction::sim::steps::{Path, Steps};
-use stiction::verdict::{AssessParams, assess, is_screened_out};
+use stiction_core::detect::{self, View};
+use stiction_core::gap::{GapOptions, Serial, diagnose};
+use stiction_core::ident::class::Class;
+use stiction_core::ident::{Options, controller, evaluator, quantify};
+use stiction_core::record::Record;
+use stiction_core::signal::stats;
+use stiction_core::sim::slips::{FirstSlip, Law, Stroke};
+use stiction_core::sim::steps::{Path, Steps};
+use stiction_core::verdict::{AssessParams, assess, is_screened_out};
 use stiction_truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
 fn main() {

@@ -2,13 +2,9 @@
 //!
 //! `cargo run --release --example own_solver`
 
-use stiction::ident::class::Class;
-use stiction::ident::surface::{Surface, solve};
-use stiction::ident::{ModelChoice, Options, ValveChoice};
-use stiction::optim::{self, Objective, Outcome, Settings, Solver};
-use stiction::record::Record;
-use stiction::sim::slips::Law;
-use stiction::sim::valve::he_step;
+use stiction::sim::he_step;
+use stiction::solver::{ALL, Objective, Outcome, Settings, Solver, Surface, solve};
+use stiction::{Class, Law, ModelChoice, Options, Record, ValveChoice};
 
 /// Walks down each row of a grid: no good solver, but a short one.
 struct Rows;
@@ -54,7 +50,7 @@ fn main() {
     let record = record();
     let settings = Settings { budget: 2000, fineness_pct: 2.0, seed: 1 };
     let own: &dyn Solver = &Rows;
-    for solver in optim::ALL.into_iter().chain([own]) {
+    for solver in ALL.into_iter().chain([own]) {
         let Some(mut surface) = Surface::new(&record, &options, Law::He, Class::First) else {
             println!("a signal does not move");
             return;

@@ -2,10 +2,8 @@
 //!
 //! `cargo run --example quantify`
 
-use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction::sim::controller::{Action, PidSettings};
-use stiction::sim::process::ProcessModel;
-use stiction::verdict::{AssessParams, assess};
+use stiction::sim::{Action, ClosedLoop, LoopModel, PidSettings, ProcessModel, ValveLaw, ValveModel};
+use stiction::{AssessParams, assess};
 
 fn main() {
     let valve = ValveModel { law: ValveLaw::He, fs: 5.0, fd: 3.0, ..ValveModel::HEALTHY };

@@ -12,9 +12,9 @@ use std::collections::btree_map::Entry;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use stiction::record::Signal;
-use stiction::units::file_stem_of;
 use stiction_command::manual::refuse_existing;
+use stiction_core::record::Signal;
+use stiction_core::units::file_stem_of;
 use stiction_files::compact::{self, CompactLoop};
 use stiction_files::even::even;
 #[cfg(feature = "parquet")]

@@ -8,9 +8,9 @@ use anyhow::{Context, anyhow};
 
 use super::reading::ReadArgs;
 use super::{BRIDGE, Format, Outcome, OutputArgs, asked_to_stop, block_on, note};
-use stiction::record::Signal;
 use stiction_command::other::RestArgs;
 use stiction_command::{bus, put};
+use stiction_core::record::Signal;
 use stiction_files::pairing::{Listing, Seen};
 
 /// Find loops on a bus or in files and write [[loop]] entries; signals are paired by the endings of their names.

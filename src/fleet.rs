@@ -1,7 +1,7 @@
 //! Many loops at once: each by its line in one table, instead of a page of text.
 
-use stiction::units::{duration, format_rfc3339, is_date, optional as number, probability, s_from_ns};
-use stiction::verdict::{Assessment, Verdict, words};
+use stiction_core::units::{duration, format_rfc3339, is_date, optional as number, probability, s_from_ns};
+use stiction_core::verdict::{Assessment, Verdict, words};
 use stiction_monitor::analysis::Answer;
 
 /// Loops from which text gives the table alone.

@@ -22,9 +22,9 @@
 //!
 //! # One sample's way
 //! `source::zenoh` (callback, bounded queue) → `core` (route, decode, record), both of `stiction-daemon` →
-//! [`stiction_monitor::engine::Engine::push`] → [`stiction::signal::align`] (joined by source time) →
-//! [`stiction::signal::history`] (bounded memory) → a due window → `schedule` (in turn) → `worker` →
-//! [`stiction::verdict::assess`] → [`stiction_monitor::alarm`] → `sink::zenoh`, `sink::recorder` and `sink::keeper`.
+//! [`stiction_monitor::engine::Engine::push`] → [`stiction_core::signal::align`] (joined by source time) →
+//! [`stiction_core::signal::history`] (bounded memory) → a due window → `schedule` (in turn) → `worker` →
+//! [`stiction_core::verdict::assess`] → [`stiction_monitor::alarm`] → `sink::zenoh`, `sink::recorder` and `sink::keeper`.
 
 pub mod analyze;
 mod analyze_report;

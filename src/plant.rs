@@ -1,6 +1,6 @@
 //! `analyze --plant`: the groups of loops that share an oscillation, as text.
 
-use stiction::plantwide::{GroupDocument, text};
+use stiction_core::plantwide::{GroupDocument, text};
 
 /// Every group, and how many loops are in none.
 pub(super) fn groups_text(groups: &[GroupDocument], loops: usize) -> String {

@@ -11,9 +11,9 @@ use zenoh::qos::CongestionControl;
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, say};
-use stiction::record::Sample;
-use stiction::units::s_from_ns;
 use stiction_command::bus::{connect, prefix};
+use stiction_core::record::Sample;
+use stiction_core::units::s_from_ns;
 use stiction_files::LoadedLoop;
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic;

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 
 use super::{note, on_all_cores};
-use stiction::gap::model_file::ModelFile;
-use stiction::sim::scenario::Scenario;
+use stiction_core::gap::model_file::ModelFile;
+use stiction_core::sim::scenario::Scenario;
 use stiction_daemon::ConfigFile;
 use stiction_files::export::{Codes, Decimal, Map, TimeFormat, Zone, delimiter, encoding};
 use stiction_files::inputs::{Unit, units};

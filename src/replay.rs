@@ -6,7 +6,7 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use super::{Format, Outcome, block_on, say};
-use stiction::units::probability;
+use stiction_core::units::probability;
 use stiction_daemon::replay::{Output, chains_of, files_needed};
 use stiction_daemon::rerun::{FileReport, Rerun};
 use stiction_daemon::source::zenoh as bus;
@@ -159,7 +159,7 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
         return Ok(());
     }
     let d: serde_json::Value = serde_json::from_slice(&output.json)?;
-    let time = |v: &serde_json::Value| stiction::units::format_rfc3339(v.as_i64().unwrap_or(0));
+    let time = |v: &serde_json::Value| stiction_core::units::format_rfc3339(v.as_i64().unwrap_or(0));
     let number = |v: &serde_json::Value| v.as_f64().map_or("-".to_owned(), |x| format!("{x:.3}"));
     let text = |v: &serde_json::Value| v.as_str().unwrap_or("?").to_owned();
     let name = &output.loop_name;
@@ -203,9 +203,9 @@ fn refuse_foreign(args: &Args, path: &Path, metadata: &RunMetadata) -> anyhow::R
         tracing::error!(file = %path.display(), "recorded with config_hash {was}, but this version reads its configuration as {is}; verify it with the version that made it");
         return Ok(Some(Outcome::Usage));
     }
-    if metadata.version != stiction::VERSION && !args.allow_version {
+    if metadata.version != stiction_core::VERSION && !args.allow_version {
         let was = &metadata.version;
-        tracing::error!(file = %path.display(), "recorded by version {was}, this is {}; use --allow-version to compare anyway", stiction::VERSION);
+        tracing::error!(file = %path.display(), "recorded by version {was}, this is {}; use --allow-version to compare anyway", stiction_core::VERSION);
         return Ok(Some(Outcome::Usage));
     }
     Ok(None)

@@ -4,8 +4,8 @@ use anyhow::bail;
 use clap::ValueEnum;
 
 use super::UsageError;
-use stiction::units::parse_time;
 use stiction_command::values::pair;
+use stiction_core::units::parse_time;
 use stiction_files::LoadedLoop;
 use stiction_monitor::analysis::{AnalysisError, Cut, Detrend, Points, Section};
 use stiction_monitor::config::Config;
@@ -139,7 +139,7 @@ pub(super) fn told(error: AnalysisError) -> anyhow::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::units::ns_from_s;
+    use stiction_core::units::ns_from_s;
 
     #[test]
     fn sections_and_ratios_are_read_or_refused_with_a_reason() {

@@ -10,12 +10,12 @@ use indicatif::ProgressBar;
 use serde_json::json;
 
 use super::stop;
-use stiction::ident::Options;
-use stiction::ident::surface::{BUDGET, Solved, Surface};
-use stiction::optim::{Outcome, Settings, SolverName, Termination};
-use stiction::record::Record;
-use stiction::units::significant;
-use stiction::verdict::Assessment;
+use stiction_core::ident::Options;
+use stiction_core::ident::surface::{BUDGET, Solved, Surface};
+use stiction_core::optim::{Outcome, Settings, SolverName, Termination};
+use stiction_core::record::Record;
+use stiction_core::units::significant;
+use stiction_core::verdict::Assessment;
 use stiction_monitor::analysis::solver::{self, SolverDocument};
 
 /// `--solver` and its options.

@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 
 use super::reading::{ReadArgs, config_file, scenario_file};
 use super::{Format, Outcome, UsageError, in_order_on_all_cores, list, say, stop};
-use stiction::record::Sample;
-use stiction::units::optional;
+use stiction_core::record::Sample;
+use stiction_core::units::optional;
 use stiction_daemon::replay::Replay;
 use stiction_files::export::{Map, Zone};
 use stiction_files::{LoadedLoop, choose_loop};

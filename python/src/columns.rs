@@ -4,8 +4,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::refused;
-use stiction::record::{Mode, Sample, Signal, Value};
-use stiction::units::parse_time;
+use stiction_core::record::{Mode, Sample, Signal, Value};
+use stiction_core::units::parse_time;
 use stiction_monitor::analysis::rows::{Joined, Rows};
 
 /// Numbers of eight bytes each, little-endian.

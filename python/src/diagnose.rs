@@ -10,8 +10,8 @@ use crate::columns::{Handed, bytes_of, enough, stamps_of};
 use crate::options::{Look, config, stamp};
 use crate::supervise::{Watch, on_threads, supervised, threads};
 use crate::{StictionError, refused};
-use stiction::gap::model_file::ModelFile;
-use stiction::gap::{Executor, GapError, effects, text};
+use stiction_core::gap::model_file::ModelFile;
+use stiction_core::gap::{Executor, GapError, effects, text};
 use stiction_monitor::analysis::gap::{
     BaseChoice, DiagnosedWindow, GapSettings, decide_together, diagnose as diagnosed, neighbour, record,
 };

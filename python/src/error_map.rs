@@ -7,10 +7,10 @@ use crate::columns::{Handed, enough};
 use crate::options::{Look, config};
 use crate::supervise::supervised;
 use crate::{StictionError, refused};
-use stiction::ident::Model;
-use stiction::ident::fit_plots::FitPlots;
-use stiction::signal::stats;
-use stiction::sim::slips::Law;
+use stiction_core::ident::Model;
+use stiction_core::ident::fit_plots::FitPlots;
+use stiction_core::signal::stats;
+use stiction_core::sim::slips::Law;
 use stiction_monitor::analysis::Points;
 
 /// The error over the plane of the bands for one order of the process, JSON; `step` is a share of OP's span.

@@ -3,10 +3,10 @@
 use pyo3::prelude::*;
 
 use crate::refused;
-use stiction::ident::surface::BUDGET;
-use stiction::optim::{Settings, SolverName};
-use stiction::units::{LoopKind, parse_time};
-use stiction::verdict::{AssessParams, ModelChoice, ValveChoice};
+use stiction_core::ident::surface::BUDGET;
+use stiction_core::optim::{Settings, SolverName};
+use stiction_core::units::{LoopKind, parse_time};
+use stiction_core::verdict::{AssessParams, ModelChoice, ValveChoice};
 use stiction_monitor::analysis::{self, Cut, Detrend, Section, delay_choice};
 use stiction_monitor::config::Config;
 

@@ -6,8 +6,8 @@ use crate::StictionError;
 use crate::columns::{Handed, enough};
 use crate::options::{Fit, Look, config};
 use crate::supervise::supervised;
-use stiction::repair::{RepairParams, repair as simulated};
-use stiction::verdict::{AssessParams, assess};
+use stiction_core::repair::{RepairParams, repair as simulated};
+use stiction_core::verdict::{AssessParams, assess};
 use stiction_monitor::analysis::Points;
 
 /// Benefit of a repair; JSON.

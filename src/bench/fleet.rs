@@ -11,7 +11,7 @@ use super::super::demo;
 use super::publisher::{Plan, PublisherFigures};
 use super::watch::{Seen, Watched};
 use super::{Args, PREFIX, Row};
-use stiction::units::ns_from_s;
+use stiction_core::units::ns_from_s;
 use stiction_runtime::clock::now_ns;
 
 /// Rate at which histories are filled before measuring, samples/s, and samples of a signal per message.

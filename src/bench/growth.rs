@@ -2,9 +2,9 @@
 //! sizes.
 
 use super::{PREFIX, Row, cpu};
-use stiction::record::{Record, Sample, Signal, Value};
-use stiction::units::ns_from_s;
-use stiction::verdict::{AssessParams, assess};
+use stiction_core::record::{Record, Sample, Signal, Value};
+use stiction_core::units::ns_from_s;
+use stiction_core::verdict::{AssessParams, assess};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event};
 

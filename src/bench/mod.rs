@@ -17,10 +17,10 @@ use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
 use super::{Format, Outcome, block_on, demo, play, say};
-use stiction::record::{Sample, Signal, Value};
-use stiction::sim::scenario::Scenario;
-use stiction::units::NS_PER_S;
 use stiction_command::cpu;
+use stiction_core::record::{Sample, Signal, Value};
+use stiction_core::sim::scenario::Scenario;
+use stiction_core::units::NS_PER_S;
 use stiction_daemon::RunOptions;
 use stiction_monitor::codec;
 use stiction_monitor::codec::topic;

@@ -12,8 +12,8 @@ use zenoh::qos::CongestionControl;
 
 use super::super::say;
 use super::{PREFIX, cpu};
-use stiction::record::{Sample, Signal, Value};
-use stiction::units::ns_from_s;
+use stiction_core::record::{Sample, Signal, Value};
+use stiction_core::units::ns_from_s;
 use stiction_monitor::codec;
 use stiction_monitor::codec::topic;
 

@@ -9,8 +9,8 @@ use anyhow::{Context, anyhow};
 
 use super::publisher::value;
 use super::{Args, PREFIX, Row, cpu, resident_mib};
-use stiction::record::{Sample, Signal, Value};
-use stiction::units::ns_from_s;
+use stiction_core::record::{Sample, Signal, Value};
+use stiction_core::units::ns_from_s;
 use stiction_daemon::rerun::Rerun;
 use stiction_daemon::sink::recorder::{LOOPS_PER_FILE, RecordedConfig, RunInfo};
 use stiction_files::RecordingFile;
@@ -19,7 +19,7 @@ use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, LoopId};
 
 /// Timestamp of the first sample: a full hour, so that a day has 24 files.
-const START_NS: i64 = 1_700_000_000 / 3600 * 3600 * stiction::units::NS_PER_S;
+const START_NS: i64 = 1_700_000_000 / 3600 * 3600 * stiction_core::units::NS_PER_S;
 
 /// A plant and its recorded duration.
 #[derive(Debug, Clone, Copy)]

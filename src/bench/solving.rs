@@ -4,16 +4,16 @@ use std::path::Path;
 
 use super::super::evaluate;
 use super::{Row, cpu};
-use stiction::detect::{self, View};
-use stiction::ident::class::Class;
-use stiction::ident::surface::{BUDGET, Surface, solve};
-use stiction::ident::{Options, controller, evaluator};
-use stiction::optim::{Settings, SolverName};
-use stiction::record::Record;
-use stiction::signal::stats;
-use stiction::sim::slips::{FirstSlip, Law, Stroke};
-use stiction::sim::steps::{Path as OpPath, Steps};
-use stiction::verdict::{AssessParams, assess, is_screened_out};
+use stiction_core::detect::{self, View};
+use stiction_core::ident::class::Class;
+use stiction_core::ident::surface::{BUDGET, Surface, solve};
+use stiction_core::ident::{Options, controller, evaluator};
+use stiction_core::optim::{Settings, SolverName};
+use stiction_core::record::Record;
+use stiction_core::signal::stats;
+use stiction_core::sim::slips::{FirstSlip, Law, Stroke};
+use stiction_core::sim::steps::{Path as OpPath, Steps};
+use stiction_core::verdict::{AssessParams, assess, is_screened_out};
 use stiction_truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
 /// Rounds per kernel.

@@ -13,10 +13,10 @@ use zenoh::qos::CongestionControl;
 
 use super::top::board::LoopTable;
 use super::{Format, Outcome, asked_to_stop, block_on, browser, list, play, top};
-use stiction::sim::plant::SimulatedPlant;
-use stiction::sim::scenario::Scenario;
-use stiction::units::NS_PER_S;
-use stiction::verdict::Verdict;
+use stiction_core::sim::plant::SimulatedPlant;
+use stiction_core::sim::scenario::Scenario;
+use stiction_core::units::NS_PER_S;
+use stiction_core::verdict::Verdict;
 use stiction_daemon::RunOptions;
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic;

@@ -6,9 +6,9 @@ use serde::Deserialize;
 use serde_json::Value as Json;
 
 use crate::{Format, say};
-use stiction::sim::scenario::{Label, LoopSpec, Scenario};
-use stiction::units::{duration, format_rfc3339, number};
-use stiction::verdict::Verdict;
+use stiction_core::sim::scenario::{Label, LoopSpec, Scenario};
+use stiction_core::units::{duration, format_rfc3339, number};
+use stiction_core::verdict::Verdict;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
 

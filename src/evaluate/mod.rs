@@ -9,8 +9,8 @@ use std::time::Instant;
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome, on_all_cores};
-use stiction::record::Record;
-use stiction::verdict::{AssessParams, Assessment, assess_in_windows};
+use stiction_core::record::Record;
+use stiction_core::verdict::{AssessParams, Assessment, assess_in_windows};
 use stiction_files::labelled::{self, Case};
 use stiction_monitor::analysis::Judgeable;
 

@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 
 use super::Judged;
 use crate::{Format, say};
-use stiction::verdict::tally::{self, Scored, Tally};
-use stiction::verdict::{Assessment, Verdict};
+use stiction_core::verdict::tally::{self, Scored, Tally};
+use stiction_core::verdict::{Assessment, Verdict};
 
 /// Bins of the reliability table.
 const BINS: usize = 5;

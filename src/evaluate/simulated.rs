@@ -4,9 +4,9 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::{Format, on_all_cores, say};
-use stiction::verdict::rule::Rule;
-use stiction::verdict::tally::{self, Scored};
-use stiction::verdict::{AssessParams, assess, assess_in_windows};
+use stiction_core::verdict::rule::Rule;
+use stiction_core::verdict::tally::{self, Scored};
+use stiction_core::verdict::{AssessParams, assess, assess_in_windows};
 use stiction_monitor::alarm::{AlarmParams, Evidence};
 use stiction_monitor::analysis::Judgeable;
 use stiction_truth::rates::{self, Called, reliability_lines};

@@ -6,8 +6,8 @@ use anyhow::anyhow;
 
 use super::super::reading::{ReadArgs, config_of};
 use super::super::selection::points;
-use stiction::gap::Neighbour;
-use stiction::record::Record;
+use stiction_core::gap::Neighbour;
+use stiction_core::record::Record;
 use stiction_files::LoadedLoop;
 use stiction_monitor::analysis::gap::neighbour;
 use stiction_monitor::config::Config;

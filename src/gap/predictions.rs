@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use stiction::units::format_seconds;
+use stiction_core::units::format_seconds;
 use stiction_monitor::analysis::predictions::Row;
 
 /// Writes the rows into a file of another name first: an output is whole or not there.

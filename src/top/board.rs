@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use stiction::gap::document::GapDocument;
-use stiction::gap::text;
-use stiction::record::Signal;
-use stiction::units::{ns_from_s, s_from_ns};
+use stiction_core::gap::document::GapDocument;
+use stiction_core::gap::text;
+use stiction_core::record::Signal;
+use stiction_core::units::{ns_from_s, s_from_ns};
 use stiction_daemon::received;
 use stiction_monitor::alarm::LoopContext;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};

@@ -13,7 +13,7 @@ use zenoh::sample::SampleKind;
 
 use super::board::News;
 use super::view::Ask;
-use stiction::record::Value;
+use stiction_core::record::Value;
 use stiction_monitor::codec::topic::{self, Kind, Leaf, OUTPUT_CHUNKS, Topic};
 use stiction_monitor::codec::{self};
 use stiction_runtime::clock::now_ns;

@@ -1,6 +1,6 @@
 //! The table's cells as text, for screen and plain text, at every width.
 
-use stiction::units::{duration, number};
+use stiction_core::units::{duration, number};
 use stiction_monitor::alarm::State;
 use stiction_runtime::overview::Row;
 

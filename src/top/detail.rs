@@ -12,8 +12,8 @@ use ratatui::widgets::{Axis, Chart, Dataset, GraphType, Paragraph, Wrap};
 use super::board::{LoopTable, Now};
 use super::cells::{self, Figure, TerminalStyle};
 use super::view::View;
-use stiction::units::{duration, format_rfc3339, number};
-use stiction::verdict::{Assessment, words};
+use stiction_core::units::{duration, format_rfc3339, number};
+use stiction_core::verdict::{Assessment, words};
 use stiction_monitor::alarm::AlarmDocument;
 
 /// Height of the trends on a low screen, lines.

@@ -6,8 +6,8 @@ use serde_json::Value;
 
 use super::board::{LoopTable, Now};
 use super::cells::{self, TerminalStyle};
-use stiction::units::duration;
-use stiction::verdict::Verdict;
+use stiction_core::units::duration;
+use stiction_core::verdict::Verdict;
 
 /// Verdicts, worst first.
 const VERDICTS: [Verdict; 7] = [

@@ -26,7 +26,7 @@ use self::cells::{Figure, TerminalStyle};
 use self::view::View;
 use super::reading::config_file;
 use super::{Format, Outcome, UsageError, asked_to_stop, block_on, say};
-use stiction::units::ms_from_ns;
+use stiction_core::units::ms_from_ns;
 
 /// Default endpoint of a daemon.
 const USUAL: &str = "tcp/127.0.0.1:7447";

@@ -14,7 +14,7 @@ use super::board::{LoopTable, News, Now};
 use super::cells::TerminalStyle;
 use super::draw;
 use super::view::{Ask, Order, Page, Prompt, View};
-use stiction::record::Signal;
+use stiction_core::record::Signal;
 use stiction_files::RecordingReader;
 use stiction_monitor::codec::topic;
 

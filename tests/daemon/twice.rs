@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use stiction::sim::scenario::Scenario;
+use stiction_core::sim::scenario::Scenario;
 use stiction_daemon::rerun::Rerun;
 use stiction_files::RecordingFile;
 use stiction_monitor::codec::encode_recorded;

@@ -3,9 +3,9 @@
 use crate::isa::Model;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stiction::ident::region::Size;
-use stiction::units::Moment;
-use stiction::verdict::{Assessment, Oscillation, Verdict, Window};
+use stiction_core::ident::region::Size;
+use stiction_core::units::Moment;
+use stiction_core::verdict::{Assessment, Oscillation, Verdict, Window};
 use stiction_monitor::alarm::AlarmParams;
 use stiction_monitor::alarm::{Alarm, Command, MAX_SHELVE_S};
 

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{LazyLock, Mutex};
 
-use stiction::verdict::{Assessment, assess};
+use stiction_core::verdict::{Assessment, assess};
 use stiction_monitor::engine::{Request, WindowAnswer};
 
 static ASSESSMENTS: LazyLock<Mutex<HashMap<u64, Assessment>>> = LazyLock::new(Mutex::default);

@@ -7,10 +7,10 @@ use crate::answers::compute;
 use proptest::prelude::*;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stiction::record::{Mode, Sample, Signal, Value};
-use stiction::signal::align::align_all;
-use stiction::sim::scenario::Scenario;
-use stiction::verdict::{Verdict, assess};
+use stiction_core::record::{Mode, Sample, Signal, Value};
+use stiction_core::signal::align::align_all;
+use stiction_core::sim::scenario::Scenario;
+use stiction_core::verdict::{Verdict, assess};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, Request, SkipReason, section};
 

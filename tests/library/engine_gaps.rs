@@ -2,11 +2,11 @@
 //! same for the same windows, whatever becomes of the diagnoses.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction::record::{Sample, Signal, Value};
-use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction::sim::controller::{Action, PidSettings};
-use stiction::sim::process::ProcessModel;
-use stiction::verdict::{Assessment, Oscillation, Process, Window};
+use stiction_core::record::{Sample, Signal, Value};
+use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction_core::sim::controller::{Action, PidSettings};
+use stiction_core::sim::process::ProcessModel;
+use stiction_core::verdict::{Assessment, Oscillation, Process, Window};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, GapReason, GapRequest, LoopId, Request, SkipReason};
 
@@ -245,7 +245,7 @@ fn grown(grade: char, fs: f64) -> Vec<(usize, GapRequest)> {
     let mut rig = Rig::new(config(300.0), Then::Nothing, move |window, r: &Request| {
         let mut a = assessment(r, Some(90.0));
         let bands = if window < 20 { (5.0, 3.0) } else { (fs, 0.6 * fs) };
-        (a.fs, a.fd, a.valve_model) = (Some(bands.0), Some(bands.1), Some(stiction::sim::slips::Law::He));
+        (a.fs, a.fd, a.valve_model) = (Some(bands.0), Some(bands.1), Some(stiction_core::sim::slips::Law::He));
         a.grade = Some(if window < 4 { 'D' } else { grade });
         a
     });

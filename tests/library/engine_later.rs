@@ -5,9 +5,9 @@ use std::collections::VecDeque;
 
 use crate::answers::compute;
 use proptest::prelude::*;
-use stiction::record::{Sample, Signal, Value};
-use stiction::sim::scenario::Scenario;
-use stiction::verdict::Verdict;
+use stiction_core::record::{Sample, Signal, Value};
+use stiction_core::sim::scenario::Scenario;
+use stiction_core::verdict::Verdict;
 use stiction_monitor::alarm::{Command, State};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, LoopId};

@@ -1,11 +1,11 @@
 //! What a group says of a loop: the estimate names what drives the loop, and the alarm waits for the source's.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
-use stiction::record::{Sample, Signal, Value};
-use stiction::units::Moment;
-use stiction::verdict::rule::{Cuts, Opinion};
-use stiction::verdict::{Assessment, EstimateDocument, MemberJudgement, Oscillation, Verdict, Window};
+use stiction_core::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
+use stiction_core::record::{Sample, Signal, Value};
+use stiction_core::units::Moment;
+use stiction_core::verdict::rule::{Cuts, Opinion};
+use stiction_core::verdict::{Assessment, EstimateDocument, MemberJudgement, Oscillation, Verdict, Window};
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, GroupStanding, LoopId};

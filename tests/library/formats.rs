@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use stiction::units::format_rfc3339;
+use stiction_core::units::format_rfc3339;
 use stiction_monitor::codec::{self, Bundle, Memory, Scalar};
 
 fn page() -> String {

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stiction::record::{Mode, Signal, Value};
+use stiction_core::record::{Mode, Signal, Value};
 use stiction_files::columns::{self, Columns, Row};
 use stiction_files::{csv, load_samples};
 use stiction_monitor::alarm::{Alarm, Command};

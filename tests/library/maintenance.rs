@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use stiction::units::Moment;
-use stiction::verdict::{Assessment, EstimateDocument, Oscillation, Verdict, Window};
+use stiction_core::units::Moment;
+use stiction_core::verdict::{Assessment, EstimateDocument, Oscillation, Verdict, Window};
 use stiction_monitor::alarm::{Alarm, AlarmDocument, LoopContext};
 use stiction_runtime::maintenance::{
     Benefit, Done, Helped, Measured, Removed, SIMULATED, Work, compare, rank, simulable,

@@ -7,9 +7,9 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use stiction::record::{Mode, Sample, Signal, Value};
-use stiction::sim::scenario::Scenario;
-use stiction::units::s_from_ns;
+use stiction_core::record::{Mode, Sample, Signal, Value};
+use stiction_core::sim::scenario::Scenario;
+use stiction_core::units::s_from_ns;
 use stiction_monitor::alarm::LoopContext;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, PlantWatch};

@@ -2,16 +2,16 @@
 
 use std::fs;
 
-use stiction::verdict::texts::ALL;
+use stiction_core::verdict::texts::ALL;
 
 #[test]
 fn the_page_and_the_documentation_say_what_the_list_says() {
-    let entry = |t: &stiction::verdict::texts::Text| {
+    let entry = |t: &stiction_core::verdict::texts::Text| {
         format!("  {}: {{ short: {:?}, words: {:?} }},\n", t.id, t.short, t.sentence)
     };
     let entries: String = ALL.iter().map(entry).collect();
     let page = format!(
-        "// The texts of verdicts, from crates/stiction/src/verdict/texts.rs; a test compares them.\n\nexport const VERDICTS = \
+        "// The texts of verdicts, from crates/stiction-core/src/verdict/texts.rs; a test compares them.\n\nexport const VERDICTS = \
          {{\n{entries}}};\n"
     );
     assert_eq!(fs::read_to_string("crates/stiction-web/src/assets/verdicts.js").unwrap(), page);

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::common::program::{expect, stderr, stdout};
-use stiction::record::{Signal, Value};
+use stiction_core::record::{Signal, Value};
 use stiction_files::{RecordingFile, RecordingReader, load_samples};
 use stiction_monitor::codec::topic::Kind;
 

@@ -8,7 +8,7 @@ use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
 use serde_json::Value;
-use stiction::gap::document::GapDocument;
+use stiction_core::gap::document::GapDocument;
 use stiction_truth::fixture::Loop;
 
 fn stictiond(arguments: &[&str]) -> Output {
@@ -167,7 +167,7 @@ fn a_lag_behind_the_valve_is_named_and_closes_the_gap() {
 fn the_text_can_be_read_aloud() {
     let (d, _, _) = lagging();
     let document: GapDocument = serde_json::from_value(d.clone()).unwrap();
-    let text = stiction::gap::text::paragraph(&document);
+    let text = stiction_core::gap::text::paragraph(&document);
     for part in ["an extra lag of", "adding it closes", "on data it was not fitted to", "a slow sensor"] {
         assert!(text.contains(part), "{part:?} is missing: {text}");
     }

@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use crate::common::program::{expect, stdout};
-use stiction::record::Signal;
+use stiction_core::record::Signal;
 use stiction_files::archive::{Archive, Reach, Wanted};
 use stiction_files::{RecordingReader, load_samples};
 use stiction_monitor::codec::topic::{self, Kind};

@@ -178,7 +178,7 @@ fn a_changed_recording_fails_verification_and_another_version_is_refused() {
                 *data = text.into_bytes();
             }
         },
-        stiction::VERSION,
+        stiction_core::VERSION,
     );
     let out = stictiond(&["replay", touched.to_str().unwrap(), "--verify"]);
     assert_eq!(out.status.code(), Some(1));

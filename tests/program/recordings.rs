@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use stiction::record::{Mode, Sample, Signal, Value};
+use stiction_core::record::{Mode, Sample, Signal, Value};
 use stiction_files::{End, METADATA_PREFIX, RecordingFile, RecordingReader, load_samples};
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::Kind;

@@ -16,7 +16,7 @@ const PATIENCE_US: &str = "60000000";
 /// # Errors
 /// It is none.
 pub fn prefix(text: &str) -> Result<String, String> {
-    if stiction::units::is_loop_name(text) {
+    if stiction_core::units::is_loop_name(text) {
         Ok(text.to_owned())
     } else {
         Err("write a key prefix such as plant1/area1".into())

@@ -8,8 +8,8 @@ use std::collections::{HashMap, HashSet};
 
 use zenoh::key_expr::{KeyExpr, keyexpr};
 
-use stiction::record::{Sample, Signal};
-use stiction::units::loop_name_from;
+use stiction_core::record::{Sample, Signal};
+use stiction_core::units::loop_name_from;
 use stiction_files::export::names::role;
 use stiction_monitor::codec::topic::{Leaf, Topic};
 use stiction_monitor::codec::{Bundle, CodecError, Field, Memory, decode_fields};
@@ -171,7 +171,7 @@ fn sender_of(key: &str) -> Cow<'_, str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::record::Value;
+    use stiction_core::record::Value;
 
     fn bundles(text: &str) -> Bundles {
         Bundles::new(&Config::parse(&format!("[site]\nprefix = \"p\"\n{text}")).unwrap())

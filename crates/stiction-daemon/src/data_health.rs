@@ -13,7 +13,7 @@ use super::to_json;
 use crate::sink::deliver::{Item, Outbox};
 use crate::sink::keeper::Notes;
 use crate::sink::zenoh::{Publication, Publisher};
-use stiction::units::{ns_from_ms, ns_from_s, s_from_ns};
+use stiction_core::units::{ns_from_ms, ns_from_s, s_from_ns};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::{Config, Summary};
 use stiction_runtime::clock::Clock;

@@ -7,9 +7,9 @@ use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, Schema};
 use serde_json::{Value, json};
 
-use stiction::gap::document::{GAP_SCHEMA, GapDocument};
-use stiction::plantwide::{GROUP_SCHEMA, GroupDocument};
-use stiction::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
+use stiction_core::gap::document::{GAP_SCHEMA, GapDocument};
+use stiction_core::plantwide::{GROUP_SCHEMA, GroupDocument};
+use stiction_core::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
 use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument};
 use stiction_monitor::codec::topic::{DAEMON_HEALTH_SCHEMA, DATA_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 use stiction_runtime::data_health::DataHealthDocument;

@@ -10,7 +10,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use stiction::record::Signal;
+use stiction_core::record::Signal;
 use stiction_monitor::config::{Config, NAME_MARK};
 use stiction_monitor::engine::LoopId;
 

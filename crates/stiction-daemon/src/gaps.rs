@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use stiction::gap::Executor;
+use stiction_core::gap::Executor;
 use stiction_monitor::engine::{GapRequest, LoopId, PublishedGap, SkipReason};
 
 /// Requests that may wait; beyond that a person is refused and the daemon's own are skipped.

@@ -5,8 +5,8 @@
 
 use std::time::Duration;
 
-use stiction::record::{Sample, Signal};
-use stiction::units::ns_from_s;
+use stiction_core::record::{Sample, Signal};
+use stiction_core::units::ns_from_s;
 use stiction_monitor::config::Input;
 use stiction_monitor::engine::LoopId;
 use stiction_runtime::queue::Rate;
@@ -125,7 +125,7 @@ impl Limits {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::record::Value;
+    use stiction_core::record::Value;
     use stiction_monitor::config::Config;
     use stiction_monitor::engine::Engine;
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender};
 
 use super::gaps::yield_to_all;
-use stiction::plantwide::GroupDocument;
+use stiction_core::plantwide::GroupDocument;
 use stiction_monitor::engine::{Comparison, Misplaced};
 
 /// What a comparison gave.

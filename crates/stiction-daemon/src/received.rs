@@ -7,9 +7,9 @@
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use stiction::detect::Indicator;
-use stiction::units::Moment;
-use stiction::verdict::{Assessment, ESTIMATE_SCHEMA, EstimateDocument, Oscillation, Window, features, reasons};
+use stiction_core::detect::Indicator;
+use stiction_core::units::Moment;
+use stiction_core::verdict::{Assessment, ESTIMATE_SCHEMA, EstimateDocument, Oscillation, Window, features, reasons};
 use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument, Figures, Marks};
 
 /// NE 107 categories of an alarm.
@@ -191,7 +191,7 @@ mod tests {
         let a = &read.assessment;
         assert_eq!(
             (a.gates.as_slice(), a.reason, a.s),
-            ([stiction::verdict::Gate::TooCoarse].as_slice(), Some(UNKNOWN), None)
+            ([stiction_core::verdict::Gate::TooCoarse].as_slice(), Some(UNKNOWN), None)
         );
         assert_eq!((a.indicators.len(), a.fs_interval), (1, None));
         for wrong in

@@ -16,7 +16,7 @@ use super::replay::{heads, neighbour, reach_ns};
 use super::rerun::Rerun;
 use super::restore::{LOSS_SHOWN, RunFile, is_recording};
 use crate::sink::recorder::{Continued, LOOPS_PER_FILE};
-use stiction::units::ns_from_s;
+use stiction_core::units::ns_from_s;
 use stiction_files::RecordingReader;
 use stiction_files::rescue::{REMOVED, SAMPLES_KEY};
 use stiction_files::run::{REFILLED_FROM, RunMetadata};

@@ -14,7 +14,7 @@ use serde::Deserialize;
 use super::gaps::Until;
 use super::restore::{RunFile, is_recording};
 use super::to_json;
-use stiction::record::Sample;
+use stiction_core::record::Sample;
 use stiction_files::run::{REFILLED_FROM, RunMetadata};
 use stiction_files::{Item, RecordingReader};
 use stiction_monitor::codec::decode_recorded;
@@ -452,7 +452,7 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
 pub(super) fn reach_ns(config: &Config) -> i64 {
     let windows = config.loops.iter().map(|l| l.window).chain([config.window]);
     let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
-    stiction::units::ns_from_s(reach_s)
+    stiction_core::units::ns_from_s(reach_s)
 }
 
 /// The recording of this name beside another one, finished or not. An empty name is none.

@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 
 use super::replay::{Output, PlantEvent};
 use super::to_json;
-use stiction::plantwide::GroupDocument;
+use stiction_core::plantwide::GroupDocument;
 use stiction_monitor::codec::topic::{Kind, PLANT};
 use stiction_monitor::engine::{Comparison, PlantWatch, RecordedInput};
 

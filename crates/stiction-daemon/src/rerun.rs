@@ -11,7 +11,7 @@ use anyhow::{Context, anyhow, bail};
 
 use super::replay::{Output, PlantEvent, Replay};
 use super::replay_plant::ReplayPlant;
-use stiction::record::Sample;
+use stiction_core::record::Sample;
 use stiction_files::run::{ORIGINS, RunMetadata};
 use stiction_files::{End, Item, RecordingReader};
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};

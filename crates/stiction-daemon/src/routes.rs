@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 
 use crate::source::shares::Shares;
-use stiction::record::Signal;
+use stiction_core::record::Signal;
 use stiction_monitor::codec::topic::{Leaf, Topic};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, LoopId};

@@ -26,7 +26,7 @@ use crate::sink::recorder::{RecordedConfig, Recorder, RunInfo, Writer};
 use crate::sink::zenoh::{Outgoing, Publication, Publisher};
 use crate::source::shares::Shares;
 use crate::source::{CONTROL_QUEUE, Envelope, Intake, Message};
-use stiction::verdict::Assessment;
+use stiction_core::verdict::Assessment;
 use stiction_files::disk::Disk;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::{Config, ConfigChanges, Deliver};

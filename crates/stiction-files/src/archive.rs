@@ -15,7 +15,7 @@ use mcap::{McapError, Summary};
 use super::columns;
 use super::mcap_index::MAX_RECORD;
 use super::mcap_read::RecordingReader;
-use stiction::record::{Sample, Signal};
+use stiction_core::record::{Sample, Signal};
 use stiction_monitor::codec::{encode_recorded, topic};
 
 /// Most time ranges cached by file and topic; when full, the cache is emptied.
@@ -353,7 +353,7 @@ mod tests {
         let prefix = reader.metadata().get("prefix").unwrap().clone();
         let archive = Archive::new(dir.path(), &prefix);
         let loops = super::super::load_samples(&dir.path().join("cut.mcap.part")).unwrap().loops;
-        let topic = stiction_monitor::codec::topic::raw(&prefix, &loops[0].name, stiction::record::Signal::Pv);
+        let topic = stiction_monitor::codec::topic::raw(&prefix, &loops[0].name, stiction_core::record::Signal::Pv);
         let (reach, found) = all(&archive, &topic, [i64::MIN, i64::MAX]);
         assert_eq!(reach, Reach::All);
         assert!(found.len() > 100, "{}", found.len());

@@ -1,7 +1,7 @@
 //! Raw samples of many loops in one message, stored column by column: what `[recording] raw = "columns"` writes. [`LAYOUT`]
 //! is the complete format, and is in every such file as its schema.
 
-use stiction::record::{Mode, Value};
+use stiction_core::record::{Mode, Value};
 use stiction_monitor::codec::topic;
 use thiserror::Error;
 

@@ -11,8 +11,8 @@ use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
-use stiction::record::{Mode, Sample, Signal, Value};
-use stiction::units::{TimeError, format_seconds, parse_time};
+use stiction_core::record::{Mode, Sample, Signal, Value};
+use stiction_core::units::{TimeError, format_seconds, parse_time};
 use stiction_monitor::analysis::rows::{Joined, Rows};
 use thiserror::Error;
 

@@ -5,8 +5,8 @@ use std::path::Path;
 use anyhow::{Context, bail};
 
 use crate::LoadedLoop;
-use stiction::units::LoopKind;
-use stiction::verdict::AssessParams;
+use stiction_core::units::LoopKind;
+use stiction_core::verdict::AssessParams;
 use stiction_monitor::analysis::{AnalysisError, Judgeable, Points};
 use stiction_monitor::config::Config;
 

@@ -38,7 +38,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
-use stiction::record::{Sample, Signal, Value};
+use stiction_core::record::{Sample, Signal, Value};
 use stiction_monitor::codec;
 use stiction_monitor::codec::topic::{Leaf, Topic};
 use thiserror::Error;

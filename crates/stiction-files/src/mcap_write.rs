@@ -179,7 +179,7 @@ impl RecordingFile {
         let sink = Counted { inner, written: Arc::clone(&written), sum: Arc::clone(&sum) };
         // Whole chunks reach the file at once (no seeking back), so a reader of the open file meets none half written.
         let options = WriteOptions::new()
-            .library(format!("stictiond {}", stiction::VERSION))
+            .library(format!("stictiond {}", stiction_core::VERSION))
             .compression(Some(Compression::Zstd))
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES))

@@ -7,8 +7,8 @@ use anyhow::bail;
 use serde_json::json;
 
 use crate::export::names::role;
-use stiction::record::Signal;
-use stiction::units::{is_loop_name, loop_name_from};
+use stiction_core::record::Signal;
+use stiction_core::units::{is_loop_name, loop_name_from};
 use stiction_monitor::codec::{self, Bundle, Memory};
 use stiction_monitor::config::NAME_MARK;
 

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::LoadedLoop;
 use super::csv as table;
-use stiction::units::{Moment, file_stem_of, s_from_ns};
+use stiction_core::units::{Moment, file_stem_of, s_from_ns};
 use stiction_monitor::short_hash;
 
 /// Name of the folder below the recordings.
@@ -272,7 +272,7 @@ fn table_name(review: &Review) -> String {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use stiction::record::{Sample, Signal, Value};
+    use stiction_core::record::{Sample, Signal, Value};
 
     fn review(name: &str, why: Option<&str>) -> Review {
         Review {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::{LoadedLoop, METADATA_PREFIX, RecordingFile, WriteError};
-use stiction::units::{is_loop_name, loop_name_from};
+use stiction_core::units::{is_loop_name, loop_name_from};
 use stiction_monitor::codec::topic;
 
 /// Writes loops as a recording, first to `part`, which becomes `target` once complete. `about` gives origin and source.
@@ -19,7 +19,7 @@ pub fn write_loops(
     loops: &[LoadedLoop],
 ) -> Result<usize, WriteError> {
     let metadata = BTreeMap::from(
-        [("origin", origin), (METADATA_PREFIX, prefix), ("source", source), ("version", stiction::VERSION)]
+        [("origin", origin), (METADATA_PREFIX, prefix), ("source", source), ("version", stiction_core::VERSION)]
             .map(|(key, value)| (key.to_owned(), value.to_owned())),
     );
     let mut file = RecordingFile::create_at(part.to_owned(), target.to_owned(), &metadata)?;

@@ -2,8 +2,8 @@
 
 use serde_json::json;
 
-use stiction::plantwide::{PlantLoop, assess_plant};
 use stiction_command::{Format, Outcome, cpu, say};
+use stiction_core::plantwide::{PlantLoop, assess_plant};
 use stiction_lab::plants::{FleetLoop, fleet};
 
 /// Numbers of loops.

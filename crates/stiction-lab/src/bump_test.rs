@@ -2,12 +2,12 @@
 
 use serde::Serialize;
 
-use stiction::guard::Excess;
-use stiction::signal::stats;
-use stiction::sim::closed_loop::{Stem, ValveLaw, ValveModel};
-use stiction::sim::process::ProcessState;
-use stiction::verdict::bump_test::{BumpTest, Refusal, bump_test};
-use stiction::verdict::{AssessParams, Assessment, assess};
+use stiction_core::guard::Excess;
+use stiction_core::signal::stats;
+use stiction_core::sim::closed_loop::{Stem, ValveLaw, ValveModel};
+use stiction_core::sim::process::ProcessState;
+use stiction_core::verdict::bump_test::{BumpTest, Refusal, bump_test};
+use stiction_core::verdict::{AssessParams, Assessment, assess};
 use stiction_truth::draw::Draw;
 use stiction_truth::{Half, Regime, TruthLoop};
 

@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use stiction::detect::oscillation;
-use stiction::ident::width::{Floor, Intervals, Settings, Spread, Trust};
-use stiction::ident::{Options, quantify};
-use stiction::signal::stats;
+use stiction_core::detect::oscillation;
+use stiction_core::ident::width::{Floor, Intervals, Settings, Spread, Trust};
+use stiction_core::ident::{Options, quantify};
+use stiction_core::signal::stats;
 use stiction_truth::{Half, Regime};
 
 /// One simulated loop: what is true, what was estimated, what the likelihood says. OP units.
@@ -170,7 +170,7 @@ pub fn table(rows: &[Row], settings: &Settings) -> Vec<Coverage> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::ident::residual::Whiteness;
+    use stiction_core::ident::residual::Whiteness;
 
     /// A white fit whose s is off by a share of what the interval holds.
     fn row(off: f64) -> Row {

@@ -5,12 +5,12 @@ use serde::Serialize;
 
 use crate::calibrate::regress;
 use crate::plants::{CaseLoop, Difficulty, Role, plant, stretched};
-use stiction::plantwide::{
+use stiction_core::plantwide::{
     Calibration, Chance, GroupDocument, Logit, Made, PairFigures, PlantLoop, SourceKind, assess_plant_by, frequency_hz,
     group_figures, member_figures, pair_figures, source_figures,
 };
-use stiction::units::ns_from_s;
-use stiction::verdict::{AssessParams, Assessment, assess};
+use stiction_core::units::ns_from_s;
+use stiction_core::verdict::{AssessParams, Assessment, assess};
 use stiction_truth::Half;
 use stiction_truth::draw::Draw;
 

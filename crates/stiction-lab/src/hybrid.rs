@@ -4,13 +4,13 @@
 //! The differences to the recording are simulated: PV's by the noise model's A and B from the difference that OP makes,
 //! OP's by the controller as read from the recording. Without an effect the recording itself comes out.
 
-use stiction::gap::budget::Budget;
-use stiction::gap::budget::search::Model;
-use stiction::gap::budget::series::Series;
-use stiction::ident::controller::Reading;
-use stiction::record::Record;
-use stiction::signal::stats::std_dev;
-use stiction::signal::{detrend, stats};
+use stiction_core::gap::budget::Budget;
+use stiction_core::gap::budget::search::Model;
+use stiction_core::gap::budget::series::Series;
+use stiction_core::ident::controller::Reading;
+use stiction_core::record::Record;
+use stiction_core::signal::stats::std_dev;
+use stiction_core::signal::{detrend, stats};
 use stiction_truth::draw::Draw;
 
 /// Effects that are put in.
@@ -176,9 +176,9 @@ fn draw_of(effect: &str, seed: u64) -> Draw {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::gap::budget::Known;
-    use stiction::ident::controller;
-    use stiction::sim::noise::Noise;
+    use stiction_core::gap::budget::Known;
+    use stiction_core::ident::controller;
+    use stiction_core::sim::noise::Noise;
 
     /// A PI loop with a load that wanders.
     fn record() -> Record {

@@ -17,8 +17,8 @@ use toml::de::DeTable;
 use crate::codec::topic::Kind;
 use crate::config::Fault;
 use crate::config::reader::{Lines, TableReader, subtables, syntax_fault};
-use stiction::units::{parse_time, significant};
-use stiction::verdict::{Verdict, reasons};
+use stiction_core::units::{parse_time, significant};
+use stiction_core::verdict::{Verdict, reasons};
 
 /// Keys of numbers that an expectation bounds, and where an estimate has them.
 const NUMBERS: [(&str, &str); 5] = [

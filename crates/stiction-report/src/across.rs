@@ -5,7 +5,7 @@ use std::ops::Range;
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use plotters::coord::types::RangedCoordf64;
 
-use stiction::units::{format_rfc3339, is_date, ns_from_s, to_decimals};
+use stiction_core::units::{format_rfc3339, is_date, ns_from_s, to_decimals};
 
 /// Pixels that a label needs: a number or a time, and a day with its time.
 const LABEL: u32 = 62;

@@ -9,7 +9,7 @@ use super::plot::{
     Area, Drawn, FINE, LEGEND, Mark, Picture, PlotError, Series, curve, draw, frame, legend, note_axes, range,
     shortened, text_width, words, write_legend,
 };
-use stiction::units::number;
+use stiction_core::units::number;
 
 /// Counts of values over one axis.
 #[derive(Debug, Clone)]

@@ -1,9 +1,9 @@
 //! The computations behind a loop's pictures, in the order of their cost.
 
-use stiction::ident::fit_plots;
-use stiction::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Optimum, OrderChart, RESAMPLES, RESTARTS};
-use stiction::record::Record;
-use stiction::verdict::{AssessParams, Assessment};
+use stiction_core::ident::fit_plots;
+use stiction_core::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Optimum, OrderChart, RESAMPLES, RESTARTS};
+use stiction_core::record::Record;
+use stiction_core::verdict::{AssessParams, Assessment};
 
 /// Step of the error maps, share of OP's span.
 const MAP_STEP: f64 = 0.025;

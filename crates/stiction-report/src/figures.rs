@@ -1,10 +1,10 @@
 //! One loop's pictures, from its record and what was computed of it.
 
-use stiction::ident::fit_plots::{ErrorMap, Optimum};
-use stiction::ident::region::{BOUNDS, STRENGTHS};
-use stiction::record::Record;
-use stiction::signal::{lag, stats};
-use stiction::verdict::Assessment;
+use stiction_core::ident::fit_plots::{ErrorMap, Optimum};
+use stiction_core::ident::region::{BOUNDS, STRENGTHS};
+use stiction_core::record::Record;
+use stiction_core::signal::{lag, stats};
+use stiction_core::verdict::Assessment;
 
 use super::across::Across;
 use super::chart::{Bar, HeatMap, Histogram, Overlay, bars, heat_map, histogram};
@@ -12,7 +12,7 @@ use super::detail::Detail;
 use super::diagram::{Tags, loop_diagram};
 use super::ink::Ink;
 use super::plot::{Mark, Panel, Picture, Plane, PlotError, Series, scatter, trend};
-use stiction::units::number;
+use stiction_core::units::number;
 
 /// A picture with its caption.
 #[derive(Debug, Clone, PartialEq)]

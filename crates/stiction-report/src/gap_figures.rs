@@ -5,10 +5,10 @@ use super::chart::{Bar, bars};
 use super::figures::Figure;
 use super::ink::Ink;
 use super::plot::{Mark, Panel, Plane, PlotError, Series, scatter, trend};
-use stiction::gap::document::EffectNote;
-use stiction::gap::text;
-use stiction::signal::stats;
-use stiction::units::number;
+use stiction_core::gap::document::EffectNote;
+use stiction_core::gap::text;
+use stiction_core::signal::stats;
+use stiction_core::units::number;
 use stiction_monitor::analysis::gap::Diagnosed;
 
 const WIDE: u32 = 1080;

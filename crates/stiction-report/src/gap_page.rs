@@ -5,8 +5,8 @@ use maud::{Markup, html};
 use super::gap_figures::figures;
 use super::page::{flatten, optional, picture, whole};
 use super::plot::PlotError;
-use stiction::gap::text::{self, BudgetText};
-use stiction::units::{from_to, number, probability};
+use stiction_core::gap::text::{self, BudgetText};
+use stiction_core::units::{from_to, number, probability};
 use stiction_monitor::analysis::gap::Diagnosed;
 
 /// Everything that the report shows.

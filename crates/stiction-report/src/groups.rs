@@ -3,8 +3,8 @@
 use maud::{Markup, html};
 
 use super::Report;
-use stiction::plantwide::{GroupDocument, SourceKind, of_member};
-use stiction::units::{duration, number, probability};
+use stiction_core::plantwide::{GroupDocument, SourceKind, of_member};
+use stiction_core::units::{duration, number, probability};
 
 /// A card per group; one that says so where the loops were compared and share none.
 pub(super) fn cards(report: &Report) -> Markup {

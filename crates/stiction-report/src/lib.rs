@@ -25,9 +25,9 @@ pub use sheet::sheet;
 
 use detail::Detail;
 use diagram::Tags;
-use stiction::plantwide::GroupDocument;
-use stiction::record::Record;
-use stiction::verdict::{Assessment, EstimateDocument};
+use stiction_core::plantwide::GroupDocument;
+use stiction_core::record::Record;
+use stiction_core::verdict::{Assessment, EstimateDocument};
 
 /// Loops that are drawn in full unless all are asked for.
 pub const IN_FULL: usize = 12;

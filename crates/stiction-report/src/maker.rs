@@ -3,9 +3,9 @@
 use super::detail::Detail;
 use super::diagram::Tags;
 use super::{IN_FULL, LoopReport, Report};
-use stiction::plantwide::GroupDocument;
-use stiction::record::Record;
-use stiction::verdict::{AssessParams, EstimateDocument};
+use stiction_core::plantwide::GroupDocument;
+use stiction_core::record::Record;
+use stiction_core::verdict::{AssessParams, EstimateDocument};
 use stiction_files::About;
 use stiction_runtime::cores::{Watch, in_order};
 

@@ -10,9 +10,9 @@ use super::figures::{Figure, Subject, brief, detailed};
 use super::ink;
 use super::plot::PlotError;
 use super::{LoopReport, Report};
-use stiction::units::{duration, from_to, number};
-use stiction::verdict::words;
-use stiction::verdict::{Assessment, Verdict};
+use stiction_core::units::{duration, from_to, number};
+use stiction_core::verdict::words;
+use stiction_core::verdict::{Assessment, Verdict};
 
 /// The whole page.
 ///
@@ -58,7 +58,7 @@ pub(super) fn whole(title: &str, [input, command]: [&str; 2], body: &Markup, rem
             body {
                 header {
                     h1 { (title) }
-                    p.soft { "From " code { (input) } ", stictiond " (stiction::VERSION) "." }
+                    p.soft { "From " code { (input) } ", stictiond " (stiction_core::VERSION) "." }
                 }
                 main {
                     (body)

@@ -1,7 +1,7 @@
 //! The report on documents made by hand: escaping, order, what stands alone.
 
 use super::*;
-use stiction::verdict::{Oscillation, Verdict, Window};
+use stiction_core::verdict::{Oscillation, Verdict, Window};
 
 fn report(names: &[&str]) -> Report {
     let op: Vec<f64> = (0..400).map(|k| 50.0 + (f64::from(k) * 0.1).sin()).collect();

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use stiction::gap::{Executor, GapOptions};
+use stiction_core::gap::{Executor, GapOptions};
 
 /// Whoever waits for work: hears how far it is, and may end it.
 pub trait Watch: Sync {

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::overview::{Obstacle, ObstacleKind, Obstacles, SharePoint};
-use stiction::units::{Moment, ms_from_ns};
+use stiction_core::units::{Moment, ms_from_ns};
 use stiction_monitor::codec::topic::DATA_HEALTH_SCHEMA;
 use stiction_monitor::short_hash;
 
@@ -93,7 +93,7 @@ impl DataHealthDocument {
             kinds: kinds.map(|of| KindCount { kind: of[0].kind, loops: of.len() }).collect(),
             obstacles,
             more,
-            version: stiction::VERSION,
+            version: stiction_core::VERSION,
         }
     }
 

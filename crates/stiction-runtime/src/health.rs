@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use stiction::units::s_from_ns;
+use stiction_core::units::s_from_ns;
 use stiction_monitor::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 use stiction_monitor::engine::LoopFigures;
 
@@ -63,7 +63,7 @@ impl DaemonHealth {
         Self {
             schema: DAEMON_HEALTH_SCHEMA,
             daemon: daemon.to_owned(),
-            version: stiction::VERSION,
+            version: stiction_core::VERSION,
             config_hash: config_hash.to_owned(),
             uptime_s: 0.0,
             loops: 0,

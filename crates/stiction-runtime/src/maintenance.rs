@@ -6,10 +6,10 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use stiction::repair::Repair;
-use stiction::units::{ms_from_ns, probability};
-use stiction::verdict::action::{Action, what_to_do};
-use stiction::verdict::{Assessment, words};
+use stiction_core::repair::Repair;
+use stiction_core::units::{ms_from_ns, probability};
+use stiction_core::verdict::action::{Action, what_to_do};
+use stiction_core::verdict::{Assessment, words};
 use stiction_monitor::alarm::Priority;
 
 use super::overview::Candidate;

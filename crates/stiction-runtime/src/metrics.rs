@@ -12,7 +12,7 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::Registry;
 
 use super::series::LoopSeries;
-use stiction::signal::align::AlignCounts;
+use stiction_core::signal::align::AlignCounts;
 
 /// One label.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -153,7 +153,7 @@ impl Metrics {
     #[must_use]
     pub fn registry(&self) -> Registry {
         let mut registry = Registry::with_prefix("stictiond");
-        let build = [("version", stiction::VERSION)];
+        let build = [("version", stiction_core::VERSION)];
         registry.register("build", "Version of the program", Info::new(build));
         self.register_counters(&mut registry);
         registry.register("verdict", "Estimates by verdict", self.verdicts.clone());

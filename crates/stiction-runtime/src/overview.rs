@@ -16,9 +16,9 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use stiction::ident::region::{Region, Size};
-use stiction::units::{ms_from_ns, s_from_ns};
-use stiction::verdict::{EstimateDocument, Gate, Verdict, words};
+use stiction_core::ident::region::{Region, Size};
+use stiction_core::units::{ms_from_ns, s_from_ns};
+use stiction_core::verdict::{EstimateDocument, Gate, Verdict, words};
 use stiction_monitor::alarm::{AlarmDocument, LoopContext, Priority, State};
 use stiction_monitor::engine::LoopFigures;
 
@@ -509,8 +509,8 @@ fn trend(recent: &VecDeque<Recent>) -> Option<&'static str> {
     if before.len() < LEAST {
         return None;
     }
-    let [(from, from_sd), (to, to_sd)] =
-        [before, after].map(|half| (stiction::signal::stats::mean(half), stiction::signal::stats::std_dev(half)));
+    let [(from, from_sd), (to, to_sd)] = [before, after]
+        .map(|half| (stiction_core::signal::stats::mean(half), stiction_core::signal::stats::std_dev(half)));
     let error = (from_sd.powi(2) / before.len() as f64 + to_sd.powi(2) / after.len() as f64).sqrt();
     // Less than a twentieth is nothing to plan by.
     let limit = (2.0 * error).max(0.05 * from.abs());

@@ -3,11 +3,11 @@
 use super::TruthLoop;
 use super::draw::{Draw, scaled, span, std_dev};
 use super::rig::{Drive, Rig, Run, motions, swing, tune, turns};
-use stiction::sim::closed_loop::{ValveLaw, ValveModel};
-use stiction::sim::disturbance::Disturbance;
-use stiction::sim::friction::Friction;
-use stiction::sim::noise::quantise;
-use stiction::sim::process::ProcessModel;
+use stiction_core::sim::closed_loop::{ValveLaw, ValveModel};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::sim::friction::Friction;
+use stiction_core::sim::noise::quantise;
+use stiction_core::sim::process::ProcessModel;
 
 /// Kinds of sticking loops, each with a row of its own in a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

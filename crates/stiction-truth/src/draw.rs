@@ -1,7 +1,7 @@
 //! Seeded draws, the shapes that disturb a loop, and two measures of a series.
 
-use stiction::sim::disturbance::{Disturbance, DisturbanceState};
-use stiction::sim::noise::{Noise, stream_of};
+use stiction_core::sim::disturbance::{Disturbance, DisturbanceState};
+use stiction_core::sim::noise::{Noise, stream_of};
 
 /// A source of draws with the ranges that loops need.
 #[derive(Debug, Clone)]

@@ -35,12 +35,12 @@ mod verdict;
 pub use accuracy::Regime;
 pub use verdict::{KINDS, LIMIT_CYCLE, PROCESS_KINDS, RECORD_KINDS};
 
-use stiction::record::Record;
-use stiction::signal::align::Point;
-use stiction::sim::controller::PidSettings;
-use stiction::sim::process::ProcessModel;
-use stiction::units::ns_from_s;
-use stiction::verdict::AssessParams;
+use stiction_core::record::Record;
+use stiction_core::signal::align::Point;
+use stiction_core::sim::controller::PidSettings;
+use stiction_core::sim::process::ProcessModel;
+use stiction_core::units::ns_from_s;
+use stiction_core::verdict::AssessParams;
 use stiction_monitor::analysis::Judgeable;
 use stiction_monitor::engine::{WindowParams, windows};
 
@@ -198,7 +198,7 @@ pub fn verdict_stretch(half: Half, seed: u64, windows: usize) -> TruthLoop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::sim::slips::{FirstSlip, Law, Sequence};
+    use stiction_core::sim::slips::{FirstSlip, Law, Sequence};
 
     fn bits(found: &TruthLoop) -> Vec<u64> {
         found.op.iter().chain(&found.pv).chain(&found.sp).chain(&found.mv).map(|x| x.to_bits()).collect()

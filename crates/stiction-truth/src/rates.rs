@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use stiction::verdict::tally::{self, Scored, wilson};
+use stiction_core::verdict::tally::{self, Scored, wilson};
 
 /// One loop of known truth, and whether each decision calls it sticking.
 #[derive(Debug, Clone, Copy)]

@@ -1,9 +1,9 @@
 //! One loop with the series that drive it, in scans: built, run, stretched in time and measured.
 
 use super::draw::{Draw, span, std_dev};
-use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveModel};
-use stiction::sim::controller::{Action, PidSettings};
-use stiction::sim::process::{ProcessModel, ProcessState};
+use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveModel};
+use stiction_core::sim::controller::{Action, PidSettings};
+use stiction_core::sim::process::{ProcessModel, ProcessState};
 
 /// A loop, times in scans.
 #[derive(Debug, Clone, Copy)]

@@ -1,6 +1,6 @@
 //! What recording does to a signal: kept only when it changed enough, thinned to straight lines, rounded.
 
-use stiction::sim::noise::quantise;
+use stiction_core::sim::noise::quantise;
 
 /// Exception reporting: a value is stored when it stands more than `band` from the last one stored, else that is held.
 pub fn exception_hold(x: &mut [f64], band: f64) {

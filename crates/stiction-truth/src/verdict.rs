@@ -5,9 +5,9 @@ use super::accuracy::{bands, cycling, law_name, physical, still};
 use super::draw::{Draw, scaled, span, std_dev};
 use super::rig::{Drive, Rig, Run, motions, tune};
 use super::storage;
-use stiction::sim::closed_loop::{ValveLaw, ValveModel};
-use stiction::sim::disturbance::Disturbance;
-use stiction::sim::process::ProcessModel;
+use stiction_core::sim::closed_loop::{ValveLaw, ValveModel};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::sim::process::ProcessModel;
 
 /// What moves the loops, but for the limit cycle that sticking ones make themselves.
 pub const KINDS: [&str; 20] = [

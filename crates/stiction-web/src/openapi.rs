@@ -25,7 +25,7 @@ pub fn document<S>(operations: &[Operation<S>]) -> Value {
         "openapi": "3.1.0",
         "info": {
             "title": "stictiond",
-            "version": stiction::VERSION,
+            "version": stiction_core::VERSION,
             "description": "What the page reads and sends. Times are ms since 1970 UTC, numbers that do not exist are null. A \
                             request that changes something carries the header `X-Stictiond: 1`, and the token where one is set.",
             "license": { "name": "MIT OR Apache-2.0", "identifier": "MIT OR Apache-2.0" },

@@ -8,7 +8,7 @@ use axum::{Extension, Json};
 use tokio::net::TcpListener;
 
 use super::{Bench, operations, router};
-use stiction::units::ms_from_ns;
+use stiction_core::units::ms_from_ns;
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::overview::DataHealth;
 use stiction_web::api::site::{Loss, Site, SiteKind};
@@ -37,7 +37,7 @@ fn site(token: Permission, started_ns: i64, time_zone: &str) -> Site {
         kind: SiteKind::Workbench,
         prefix: String::new(),
         daemon_id: String::new(),
-        version: stiction::VERSION,
+        version: stiction_core::VERSION,
         config_hash: String::new(),
         time_zone: time_zone.to_owned(),
         now_ms: ms_from_ns(now_ns()),

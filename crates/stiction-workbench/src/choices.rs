@@ -5,10 +5,10 @@ use serde::Serialize;
 
 use super::reading::OPTIONS;
 use super::request::{BUDGET_S, EVALUATIONS, FINENESS_PCT, GAP_SEED};
-use stiction::gap::effects;
-use stiction::ident::Options;
-use stiction::ident::surface::BUDGET;
-use stiction::optim;
+use stiction_core::gap::effects;
+use stiction_core::ident::Options;
+use stiction_core::ident::surface::BUDGET;
+use stiction_core::optim;
 use stiction_monitor::analysis::MIN_SAMPLES;
 use stiction_report::IN_FULL;
 

@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::fault::Fault;
 use super::request::{Kind, Task};
 use super::shelf::Shelf;
-use stiction::record::Record;
+use stiction_core::record::Record;
 use stiction_monitor::analysis::estimate::span_of;
 use stiction_monitor::analysis::{AnalysisError, Points, Section, gap};
 use stiction_web::thin::thin;

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::fault::Fault;
 use super::sampling::sampling_time_s;
 use super::shelf::Shelf;
-use stiction::signal::align::Point;
+use stiction_core::signal::align::Point;
 use stiction_monitor::analysis::{Points, Section};
 use stiction_web::thin::thin;
 
@@ -117,8 +117,8 @@ fn hole(samples: &[Point], longest_ms: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::record::{Sample, Signal, Value};
-    use stiction::units::ns_from_s;
+    use stiction_core::record::{Sample, Signal, Value};
+    use stiction_core::units::ns_from_s;
     use stiction_monitor::config::Config;
 
     fn points(stamps_s: &[f64]) -> Points {

@@ -5,12 +5,12 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::fault::Fault;
-use stiction::gap::effects;
-use stiction::gap::model_file::ModelFile;
-use stiction::ident::surface::BUDGET;
-use stiction::optim::SolverName;
-use stiction::units::{format_rfc3339, parse_time};
-use stiction::verdict::{DelayChoice, ModelChoice, ValveChoice};
+use stiction_core::gap::effects;
+use stiction_core::gap::model_file::ModelFile;
+use stiction_core::ident::surface::BUDGET;
+use stiction_core::optim::SolverName;
+use stiction_core::units::{format_rfc3339, parse_time};
+use stiction_core::verdict::{DelayChoice, ModelChoice, ValveChoice};
 use stiction_monitor::analysis::gap::{BaseChoice, GapSettings};
 use stiction_monitor::analysis::{Cut, Detrend, FitOverrides, Section, delay_choice};
 use stiction_report::command::command_line;

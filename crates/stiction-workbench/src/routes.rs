@@ -27,7 +27,7 @@ use super::record::{RecordAnswer, RecordQuery, record};
 use super::request::Request;
 use super::shelf::{FileInfo, Shelf};
 use super::upload::upload;
-use stiction::units::format_seconds;
+use stiction_core::units::format_seconds;
 use stiction_monitor::analysis::predictions::Row;
 use stiction_web::server::IdleTimer;
 use stiction_web::table::{Operation, Parameter, ResponseKind, of};

@@ -1,8 +1,8 @@
 //! How often a record was sampled.
 
-use stiction::signal::align::Point;
-use stiction::signal::stats;
-use stiction::units::s_from_ns;
+use stiction_core::signal::align::Point;
+use stiction_core::signal::stats;
+use stiction_core::units::s_from_ns;
 
 /// Median interval between samples, s.
 #[must_use]

@@ -14,8 +14,8 @@ use super::reading::ReadingWords;
 use super::sampling::sampling_time_s;
 use tempfile::TempDir;
 
-use stiction::record::{Sample, Signal};
-use stiction::signal::align::Point;
+use stiction_core::record::{Sample, Signal};
+use stiction_core::signal::align::Point;
 use stiction_files::compact::stem_of;
 use stiction_files::inputs::Unit;
 use stiction_files::run::config_of;

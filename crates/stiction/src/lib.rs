@@ -1,26 +1,56 @@
 //! Valve stiction from routine data: whether and how much a control valve sticks, the process behind it, the confidence in
 //! the answer, and what else in the loop the model does not explain.
 //!
-//! Input is a [`record::Record`] (controller output OP, process variable PV, sampling time); results are typed numbers.
+//! Input is a [`Record`]: controller output (OP) and process variable (PV) at a constant sampling time. The examples
+//! simulate theirs with [`sim`].
 //!
-//! | task | where |
+//! | task | function |
 //! |---|---|
-//! | is the valve sticking, and how much | [`verdict::assess`] |
-//! | the fit alone: bands of He's valve model, process with dead time, intervals | [`ident::quantify()`](ident::quantify) |
-//! | the error surface over the bands, for any solver of [`optim::ALL`] | [`ident::surface`] |
-//! | one valve over many windows: size, changes, windows that disagree | [`over_time::over_time`] |
-//! | loops that share an oscillation, and the source of it | [`plantwide::assess_plant`] |
-//! | benefit of a valve repair: the closed loop without stiction | [`repair::repair`] |
-//! | effects that the model leaves out, and how much of the gap each closes | [`gap::diagnose`] |
+//! | is the valve sticking, and how much | [`assess`] |
+//! | the fit alone: bands of He's valve model, process with dead time, intervals | [`quantify`] |
+//! | one valve over many windows: size, changes, windows that disagree | [`over_time()`] |
+//! | loops that share an oscillation, and the source of it | [`assess_plant`] |
+//! | benefit of a valve repair | [`repair()`] |
+//! | effects that the model leaves out, and how much of the gap each closes | [`diagnose`] |
+//! | the bands by a solver of your own | [`solver`] |
 //! | simulation of a loop: valve models, processes, PID, disturbances | [`sim`] |
 //!
-//! # A verdict
-//! ```
-//! use stiction::record::Record;
-//! use stiction::sim::valve::he_step;
-//! use stiction::verdict::{AssessParams, assess};
+//! Results are typed numbers, and most are `serde::Serialize`. The feature `schema` derives JSON Schema for the documents.
 //!
-//! // OP oscillates; a valve with fs 2.5 and fd 1 follows, and drives a first-order process.
+//! # Is the valve sticking?
+//! ```
+//! # use stiction::sim::*;
+//! use stiction::{AssessParams, Record, Verdict, assess, headline};
+//!
+//! # let controller = PidSettings {
+//! #     kc: 0.8, ti_s: 8.0, td_s: 0.0, action: Action::Reverse, op_min: 0.0, op_max: 100.0, op_resolution: 0.01,
+//! # };
+//! # let model = LoopModel {
+//! #     ts_s: 1.0,
+//! #     process: ProcessModel { gain: 2.0, tau: 20.0, tau2: 0.0, dead_time: 6.0, integrating: false },
+//! #     rest_op: 50.0, rest_pv: 60.0, controller, pv_noise_sd: 0.05, load: vec![], pv_disturbance: vec![],
+//! #     valve: ValveModel { law: ValveLaw::He, fs: 5.0, fd: 3.0, ..ValveModel::HEALTHY },
+//! # };
+//! # let mut simulated = ClosedLoop::new(model, 0.0, 60.0, 1);
+//! # simulated.record(1800, 61.0);
+//! # let simulated = simulated.record(1000, 61.0);
+//! # let (op, pv) = (simulated.op().to_vec(), simulated.pv);
+//! // OP in % and PV in its own unit, one value a second, as a historian exports them.
+//! let record = Record::uniform(1.0, op, pv);
+//! let found = assess(&record, &AssessParams::default());
+//! println!("{}", headline(&found));
+//! assert_eq!(found.verdict, Verdict::Stiction);
+//! // The loop was simulated with fs 5 and fd 3.
+//! assert!((found.s.unwrap() - 8.0).abs() < 0.1);
+//! let [low, high] = found.s_interval.unwrap();
+//! println!("s between {low} and {high} with a probability of 90 %");
+//! ```
+//!
+//! # The fit alone
+//! ```
+//! use stiction::sim::he_step;
+//! use stiction::{ModelChoice, Options, Record, quantify};
+//!
 //! let op: Vec<f64> = (0..600).map(|k| 6.0 * (f64::from(k) * 0.06).sin() + 2.0 * (f64::from(k) * 0.017).sin()).collect();
 //! let (mut stem, mut pv, mut measured) = (0.0, 0.0, Vec::new());
 //! for &u in &op {
@@ -28,45 +58,172 @@
 //!     stem = he_step(stem, u, 2.5, 1.0);
 //!     pv += 0.1 * (1.5 * stem - pv);
 //! }
-//! let record = Record::uniform(1.0, op, measured);
-//! let found = assess(&record, &AssessParams { always_fit: true, ..AssessParams::default() });
-//! assert!((found.s.unwrap() - 3.5).abs() < 0.1);
+//! let options = Options { model: ModelChoice::Fopdt, ..Options::default() };
+//! let fit = quantify(&Record::uniform(1.0, op, measured), &options).expect("signals that move");
+//! assert!((fit.s - 3.5).abs() < 0.05 && (fit.gain - 1.5).abs() < 0.05);
 //! ```
 //!
-//! # Modules
-//! A module imports only modules from the rows above it.
+//! # One valve over many windows
+//! ```
+//! use stiction::{ChangeKind, WindowResult, over_time};
 //!
-//! | layer | modules |
-//! |---|---|
-//! | basics | [`units`] times, names, numbers · [`record`] samples, and the record of one estimate · [`guard`] what a test on a loop may ask |
-//! | tools | [`signal`] joining, history, statistics · [`optim`] solvers |
-//! | physics | [`sim`] valve models, processes, controller, noise, closed loop: the only copy of each formula |
-//! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
-//! | judgement | [`verdict`] validity checks, verdict, the estimate's document · [`gap`] model-plant mismatch |
-//! | evaluation | [`over_time`] many windows of one valve · [`plantwide`] loops that share an oscillation · [`repair`] the closed loop without stiction |
+//! let hour_ns = 3_600_000_000_000;
+//! // s was near 4 for a week, and near 8 since.
+//! let windows: Vec<WindowResult> = (0..28)
+//!     .map(|k| {
+//!         let s = if k < 14 { 4.0 } else { 8.0 } * (1.0 + 0.02 * f64::from(k % 5));
+//!         let start_ns = i64::from(k) * 12 * hour_ns;
+//!         WindowResult {
+//!             start_ns,
+//!             end_ns: start_ns + 2 * hour_ns,
+//!             stiction: Some(true),
+//!             p_stiction: Some(0.95),
+//!             s: Some(s),
+//!             s_interval: Some([0.9 * s, 1.1 * s]),
+//!             ..WindowResult::default()
+//!         }
+//!     })
+//!     .collect();
+//! let valve = over_time(&windows);
+//! assert_eq!(valve.changes.len(), 1);
+//! assert_eq!(valve.changes[0].kind, ChangeKind::Worse);
+//! println!("{}", valve.sentences.join(" "));
+//! ```
+//!
+//! # What does the model leave out?
+//! ```no_run
+//! use stiction::{GapDocument, GapOptions, Record, Serial, diagnose};
+//!
+//! # let record = Record::uniform(1.0, vec![], vec![]);
+//! let options = GapOptions::default();
+//! let diagnosis = diagnose(&record, &options, &Serial)?;
+//! let document = GapDocument::new("FIC101", &record, &options, &diagnosis);
+//! println!("{} (p {:.2})", document.cause.id, document.cause.probability);
+//! # Ok::<(), stiction::GapError>(())
+//! ```
 //!
 //! # Determinism
 //! No file, socket, clock, thread, environment or unseeded random numbers: the same record gives bit-identical results on
 //! every machine. Transcendental functions come from `libm`, because system libraries differ in the last bit.
 
-#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
+pub use stiction_core::VERSION;
+pub use stiction_core::record::Record;
+pub use stiction_core::units::LoopKind;
 
-pub mod detect;
-pub mod gap;
-pub mod guard;
-pub mod ident;
-pub mod optim;
-pub mod over_time;
-pub mod plantwide;
-pub mod record;
-pub mod repair;
-pub mod signal;
-pub mod sim;
-pub mod units;
-pub mod verdict;
+// Verdicts.
+pub use stiction_core::verdict::words::headline;
+pub use stiction_core::verdict::{
+    AssessParams, Assessment, Controller, EstimateDocument, Gate, Implausible, Indicator, Oscillation, Process,
+    Verdict, Window, assess,
+};
 
-/// Version of library and program, as in documents.
-pub const VERSION: &str = env!("CARGO_PKG_VERSION");
+// The fit.
+pub use stiction_core::ident::class::Class;
+pub use stiction_core::ident::{DelayChoice, Estimate, Model, ModelChoice, Options, ValveChoice, quantify};
+pub use stiction_core::sim::slips::Law;
+
+// One valve over time, one plant, one repair.
+pub use stiction_core::over_time::{
+    Change, ChangeKind, Contradicting, OverTime, Pooled, Trend, WindowResult, over_time,
+};
+pub use stiction_core::plantwide::{
+    Follower, GroupDocument, MemberJudgement, PlantLoop, Source, SourceKind, assess_plant,
+};
+pub use stiction_core::repair::{Case, Figure, NoRepair, Repair, RepairParams, repair};
+
+// The gap between model and plant.
+pub use stiction_core::gap::document::{CauseNote, EffectNote, GapDocument};
+pub use stiction_core::gap::text::report as gap_report;
+pub use stiction_core::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Neighbour, Serial, diagnose};
+
+/// From raw samples to a [`Record`]: values with timestamps of their own, late, lost or of bad quality.
+///
+/// ```
+/// use stiction::record::{AlignParams, Sample, Signal, Value, align_all, record_of};
+///
+/// let second_ns = 1_000_000_000;
+/// let sample = |signal, k: i64, value| Sample { signal, t_ns: k * second_ns, value, quality: None };
+/// let samples: Vec<Sample> = (0..600)
+///     .flat_map(|k| {
+///         let swing = (k as f64 * 0.1).sin();
+///         // One value of PV is missing.
+///         let pv = if k == 300 { Value::Missing } else { Value::Number(20.0 + swing) };
+///         [sample(Signal::Op, k, Value::Number(50.0 + swing)), sample(Signal::Pv, k, pv)]
+///     })
+///     .collect();
+/// let (stretches, _) = align_all(&samples, &AlignParams::default());
+/// let record = record_of(&stretches[0], 5000).expect("points");
+/// assert_eq!(record.len(), 600);
+/// assert_eq!(record.facts.filled, 1);
+/// ```
+pub mod record {
+    pub use stiction_core::record::{Facts, Mode, Sample, Signal, Value};
+    pub use stiction_core::signal::align::{AlignParams, Point, Quality, align_all};
+    pub use stiction_core::signal::history::record_of;
+}
+
+/// The bands by a search of your own on the error surface, beside those of the toolbox.
+///
+/// ```
+/// use stiction::sim::he_step;
+/// use stiction::solver::{AdaptiveRandom, Settings, Surface, solve};
+/// use stiction::{Class, Law, Options, Record};
+///
+/// let op: Vec<f64> = (0..300).map(|k| 6.0 * (f64::from(k) * 0.1).sin()).collect();
+/// let (mut stem, mut pv, mut measured) = (0.0, 0.0, Vec::new());
+/// for &u in &op {
+///     measured.push(pv);
+///     stem = he_step(stem, u, 2.5, 1.0);
+///     pv += 0.1 * (1.5 * stem - pv);
+/// }
+/// let record = Record::uniform(1.0, op, measured);
+/// let mut surface = Surface::new(&record, &Options::default(), Law::He, Class::First).expect("signals that move");
+/// let found = solve(&mut surface, &AdaptiveRandom, &Settings { budget: 500, fineness_pct: 5.0, seed: 1 });
+/// assert!(found.mse < surface.mse(0.0, 0.0));
+/// ```
+pub mod solver {
+    pub use stiction_core::ident::surface::{Solved, Surface, solve};
+    pub use stiction_core::optim::{
+        ALL, AdaptiveRandom, BranchBound, Contour, Multistart, Objective, Outcome, Settings, Solver, Termination,
+    };
+}
+
+/// Simulation of control loops with sticking valves.
+///
+/// ```
+/// use stiction::sim::{Action, ClosedLoop, LoopModel, PidSettings, ProcessModel, ValveLaw, ValveModel};
+///
+/// let controller = PidSettings {
+///     kc: 0.8,
+///     ti_s: 8.0,
+///     td_s: 0.0,
+///     action: Action::Reverse,
+///     op_min: 0.0,
+///     op_max: 100.0,
+///     op_resolution: 0.01,
+/// };
+/// let model = LoopModel {
+///     ts_s: 1.0,
+///     process: ProcessModel { gain: 2.0, tau: 20.0, tau2: 0.0, dead_time: 6.0, integrating: false },
+///     rest_op: 50.0,
+///     rest_pv: 60.0,
+///     controller,
+///     valve: ValveModel { law: ValveLaw::He, fs: 5.0, fd: 3.0, ..ValveModel::HEALTHY },
+///     pv_noise_sd: 0.05,
+///     load: vec![],
+///     pv_disturbance: vec![],
+/// };
+/// let seed = 1;
+/// let record = ClosedLoop::new(model, 0.0, 60.0, seed).record(1800, 61.0);
+/// assert_eq!(record.pv.len(), 1800);
+/// ```
+pub mod sim {
+    pub use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, Scan, ValveLaw, ValveModel};
+    pub use stiction_core::sim::controller::{Action, PidSettings};
+    pub use stiction_core::sim::disturbance::Disturbance;
+    pub use stiction_core::sim::process::ProcessModel;
+    pub use stiction_core::sim::valve::he_step;
+}
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
-use stiction::record::Record;
+use stiction_core::record::Record;
 use stiction_monitor::engine::{Misplaced, misplaced};
 
 type Plant = Vec<(Arc<str>, Record)>;

@@ -4,8 +4,8 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use stiction::record::Sample;
-use stiction::sim::scenario::Scenario;
+use stiction_core::record::Sample;
+use stiction_core::sim::scenario::Scenario;
 use stiction_daemon::replay::chains_of;
 use stiction_daemon::rerun::Rerun;
 use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde_json::Value;
-use stiction::units::ms_from_ns;
+use stiction_core::units::ms_from_ns;
 use stiction_daemon::sim_daemon::SimDaemon;
 use stiction_daemon::sink::zenoh::Publication;
 use stiction_monitor::alarm::Alarm;

@@ -4,8 +4,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use serde_json::Value;
-use stiction::gap::Serial;
-use stiction::record::Record;
+use stiction_core::gap::Serial;
+use stiction_core::record::Record;
 use stiction_daemon::gaps::Outcome;
 use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};

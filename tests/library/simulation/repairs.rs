@@ -9,12 +9,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use stiction::gap::Serial;
-use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveModel};
-use stiction::sim::controller::{Action, PidSettings};
-use stiction::sim::disturbance::Disturbance;
-use stiction::sim::process::ProcessModel;
-use stiction::sim::valve::he_step;
+use stiction_core::gap::Serial;
+use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveModel};
+use stiction_core::sim::controller::{Action, PidSettings};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::sim::process::ProcessModel;
+use stiction_core::sim::valve::he_step;
 use stiction_daemon::gaps::Outcome;
 use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};

@@ -10,8 +10,8 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use stiction::record::{Signal, Value};
-use stiction::units::NS_PER_S;
+use stiction_core::record::{Signal, Value};
+use stiction_core::units::NS_PER_S;
 use stiction_files::inputs::units;
 use stiction_files::{FileError, Loaded, ReadOptions};
 

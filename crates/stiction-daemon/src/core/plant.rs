@@ -8,7 +8,7 @@ use super::{Core, to_json};
 use crate::plant::{Compared, Comparer};
 use crate::sink::recorder::Item;
 use crate::sink::zenoh::Publication;
-use stiction::plantwide::GroupDocument;
+use stiction_core::plantwide::GroupDocument;
 use stiction_monitor::codec::topic::{self, Kind, PLANT};
 use stiction_monitor::engine::{Comparison, GroupStanding, LoopId, LoopWindow, PlantWatch, RecordedInput};
 

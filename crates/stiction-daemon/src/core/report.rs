@@ -11,7 +11,7 @@ use super::{Core, to_json};
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{self, Recorder};
 use crate::sink::zenoh::{self as bus, Publication};
-use stiction::units::s_from_ns;
+use stiction_core::units::s_from_ns;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::engine::StateDocument;
 use stiction_runtime::health::{DaemonHealth, QueueHealth};
@@ -130,7 +130,7 @@ impl Core {
         DaemonHealth {
             schema: topic::DAEMON_HEALTH_SCHEMA,
             daemon: self.daemon_id.clone(),
-            version: stiction::VERSION,
+            version: stiction_core::VERSION,
             config_hash: self.engine.config_hash().to_owned(),
             uptime_s: self.clock.since(self.started).as_secs_f64(),
             loops,

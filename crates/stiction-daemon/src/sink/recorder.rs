@@ -18,7 +18,7 @@ use crossbeam_channel::{Receiver, Sender};
 
 pub use progress::Progress;
 pub use run::{Continued, RecordedConfig, RunInfo};
-use stiction::record::{Sample, Signal};
+use stiction_core::record::{Sample, Signal};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_files::{RecordingFile, WriteError};
 use stiction_monitor::codec::topic::{self, Kind};

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::super::columns::{self, Row};
 use super::{Channel, Message, ReadError, RecordingReader};
-use stiction::record::{Sample, Signal};
+use stiction_core::record::{Sample, Signal};
 use stiction_monitor::codec::{encode_recorded, topic};
 
 /// One sample from a message of columns.

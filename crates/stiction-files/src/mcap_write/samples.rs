@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::super::columns::{self, Columns, METADATA_COLUMNS, METADATA_RAW, Row};
 use super::{RecordingFile, WriteError};
-use stiction::record::Sample;
+use stiction_core::record::Sample;
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::Kind;
 

@@ -6,8 +6,8 @@ use std::path::Path;
 use anyhow::Context;
 use serde_json::json;
 
-use stiction::ident::width::Settings;
 use stiction_command::{Format, Outcome, on_all_cores, print, say};
+use stiction_core::ident::width::Settings;
 use stiction_lab::calibrate_intervals::{Coverage, Row, fit, look, table};
 use stiction_truth::{Half, Regime};
 

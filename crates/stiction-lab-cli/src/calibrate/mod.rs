@@ -11,11 +11,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde_json::json;
 
-use stiction::verdict::features::Figures;
-use stiction::verdict::figures;
-use stiction::verdict::rule::{Cuts, Logistic, Rule};
-use stiction::verdict::tally::{self, Scored, Tally};
 use stiction_command::{Format, Outcome, UsageError, on_all_cores, print, say};
+use stiction_core::verdict::features::Figures;
+use stiction_core::verdict::figures;
+use stiction_core::verdict::rule::{Cuts, Logistic, Rule};
+use stiction_core::verdict::tally::{self, Scored, Tally};
 use stiction_files::{labelled, load_samples};
 use stiction_lab::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
 use stiction_truth::rates::{Called, reliability_lines, table};

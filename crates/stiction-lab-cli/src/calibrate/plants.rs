@@ -6,8 +6,8 @@ use std::path::Path;
 use anyhow::Context;
 use serde_json::json;
 
-use stiction::plantwide::Calibration;
 use stiction_command::{Format, Outcome, on_all_cores, say};
+use stiction_core::plantwide::Calibration;
 use stiction_lab::calibrate_plants::{APART, Count, Judged, Score, Settings, calibrate, score};
 use stiction_lab::plants::Difficulty;
 use stiction_truth::Half;

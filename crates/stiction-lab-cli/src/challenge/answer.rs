@@ -2,11 +2,10 @@
 
 use serde_json::{Value, json};
 
-use stiction::detect::oscillation;
-use stiction::gap::document::GapDocument;
-use stiction::gap::locate::{Subject, locate};
-use stiction::gap::{Cause, Diagnosis, GapOptions, Serial, diagnose, effects};
-use stiction::record::Record;
+use stiction_core::detect::oscillation;
+use stiction_core::gap::document::GapDocument;
+use stiction_core::gap::{Cause, Diagnosis, GapOptions, Serial, diagnose, effects};
+use stiction_core::record::Record;
 
 /// Diagnoses a record as `gap` does. Returns the document too.
 ///
@@ -16,8 +15,7 @@ pub(super) fn ask_for(name: &str, record: &Record, options: &GapOptions) -> anyh
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let options = GapOptions { period_points: period, ..options.clone() };
     let diagnosis = diagnose(record, &options, &Serial)?;
-    let location = locate(record, &Subject::of(&diagnosis, period, options.seed));
-    let document = GapDocument::new(name, record, &options.base, &diagnosis, location);
+    let document = GapDocument::new(name, record, &options, &diagnosis);
     Ok((diagnosis, document))
 }
 

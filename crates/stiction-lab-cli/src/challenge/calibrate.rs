@@ -8,10 +8,10 @@ use serde::Deserialize;
 use serde_json::json;
 
 use super::{ANSWERS, opened, read, write};
-use stiction::gap::evidence::Evidence;
-use stiction::gap::probability::{Calibration, Features, Outcome as Came};
-use stiction::gap::{Alternative as Answered, By, Decision, NONE, UNKNOWN, decide, holds_out};
 use stiction_command::{Format, Outcome, print, say};
+use stiction_core::gap::evidence::Evidence;
+use stiction_core::gap::probability::{Calibration, Features, Outcome as Came};
+use stiction_core::gap::{Alternative as Answered, By, Decision, NONE, UNKNOWN, decide, holds_out};
 use stiction_lab::calibrate_gap::fit;
 use stiction_lab::challenge::score::{Alternative, Answer, Called, Figures, is_expressed, score};
 use stiction_lab::challenge::{Answer as Right, Split, Truth, TruthCase};
@@ -85,7 +85,7 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         args.precision,
         args.withheld,
         args.ridge,
-        stiction::VERSION,
+        stiction_core::VERSION,
         decks.join(", ")
     );
     let first = first.context("name at least one folder")?;

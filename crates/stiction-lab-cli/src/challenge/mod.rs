@@ -16,10 +16,10 @@ use std::sync::Mutex;
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
-use stiction::gap::{DEFAULT_EVALUATIONS, GapOptions};
-use stiction::record::{Record, Sample, Signal};
-use stiction::units::ns_from_s;
 use stiction_command::{Format, Outcome, UsageError, on_all_cores, print, say};
+use stiction_core::gap::{DEFAULT_EVALUATIONS, GapOptions};
+use stiction_core::record::{Record, Sample, Signal};
+use stiction_core::units::ns_from_s;
 use stiction_files::labelled::whole_record;
 use stiction_files::{csv, load_samples};
 use stiction_lab::challenge::score::{Answer, Figures, score};
@@ -154,7 +154,12 @@ fn samples_of(record: &Record) -> Vec<Sample> {
         let t_ns = ns_from_s(START_S + record.ts_s * k as f64);
         for (signal, values) in &columns {
             let Some(value) = values.and_then(|v| v.get(k)) else { continue };
-            out.push(Sample { signal: *signal, t_ns, value: stiction::record::Value::number(*value), quality: None });
+            out.push(Sample {
+                signal: *signal,
+                t_ns,
+                value: stiction_core::record::Value::number(*value),
+                quality: None,
+            });
         }
     }
     out
@@ -264,7 +269,7 @@ fn lines(answers: &BTreeMap<String, String>) -> String {
 
 fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     let path = args.dir.join(ANSWERS);
-    let made_with = json!({ "version": stiction::VERSION, "evaluations": args.evaluations, "seed": args.seed });
+    let made_with = json!({ "version": stiction_core::VERSION, "evaluations": args.evaluations, "seed": args.seed });
     let mut all = recordings(&args.dir)?;
     all.truncate(args.first.unwrap_or(usize::MAX));
     let before = if args.force { BTreeMap::new() } else { answered(&path, &made_with)? };

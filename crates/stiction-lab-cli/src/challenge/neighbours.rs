@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use serde_json::json;
 
 use super::answer::ask_for;
-use stiction::detect::oscillation;
-use stiction::gap::effects::neighbour::id_of;
-use stiction::gap::{DEFAULT_EVALUATIONS, GapOptions, Neighbour, UNKNOWN, compare_neighbours};
-use stiction::record::Record;
 use stiction_command::{Format, Outcome, UsageError, on_all_cores, say};
+use stiction_core::detect::oscillation;
+use stiction_core::gap::effects::neighbour::id_of;
+use stiction_core::gap::{DEFAULT_EVALUATIONS, GapOptions, Neighbour, UNKNOWN, compare_neighbours};
+use stiction_core::record::Record;
 use stiction_lab::challenge::{Deck, Split};
 use stiction_lab::plants::{Relation, disturbed, unrelated_loops};
 
@@ -78,7 +78,7 @@ struct Said {
 
 impl Said {
     fn names(&self, other: bool) -> bool {
-        let named = stiction::gap::effects::parts(&self.id).find(|part| part.starts_with("neighbour("));
+        let named = stiction_core::gap::effects::parts(&self.id).find(|part| part.starts_with("neighbour("));
         named.is_some_and(|part| (part == format!("neighbour({OTHER})")) == other)
     }
 

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
-use stiction::gap::{Base, DEFAULT_EVALUATIONS, Diagnosis, GapOptions, Serial, diagnose};
-use stiction::record::{Record, Signal};
 use stiction_command::{Format, Outcome, on_all_cores, say};
+use stiction_core::gap::{Base, DEFAULT_EVALUATIONS, Diagnosis, GapOptions, Serial, diagnose};
+use stiction_core::record::{Record, Signal};
 use stiction_files::labelled::{self, Case, whole_record};
 use stiction_files::load_samples;
 use stiction_lab::challenge::real::{Spoilt, spoilt};

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use super::{lab, text};
-use stiction::gap::effects;
+use stiction_core::gap::effects;
 use stiction_lab::challenge::Kind;
 
 fn names(folder: &Path) -> Vec<String> {

@@ -1,6 +1,6 @@
 //! Artefacts of sensor and historian on an existing PV: exact, so they can also be applied to real recordings.
 
-use stiction::sim::noise::quantise;
+use stiction_core::sim::noise::quantise;
 use stiction_truth::draw::Draw;
 use stiction_truth::storage;
 

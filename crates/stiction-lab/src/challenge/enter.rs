@@ -3,7 +3,7 @@
 use super::artefact::{Artefact, spikes};
 use super::kinds::Kind;
 use super::plant::{Drive, Neighbour, Plant, ProcessSpec};
-use stiction::sim::disturbance::Disturbance;
+use stiction_core::sim::disturbance::Disturbance;
 use stiction_truth::draw::{Draw, scaled};
 
 /// The loop's signals without the effect and the length of the run, which define the sizes.
@@ -282,7 +282,7 @@ impl Made {
             shape.iter_mut().enumerate().filter(|(k, _)| is_on(*k)).for_each(|(_, x)| *x += size);
         }
         self.note("events", f64::from(count), "");
-        let half = 0.5 * stiction::signal::stats::span(&shape);
+        let half = 0.5 * stiction_core::signal::stats::span(&shape);
         (shape, half)
     }
 

@@ -9,11 +9,11 @@ use super::enter::{Made, Scale};
 use super::kinds::Kind;
 use super::plant::{Drive, Plant, ProcessSpec, Run};
 use super::valve::{Law, Packing, ValveSpec};
-use stiction::signal::stats::{mean, quantile, std_dev};
-use stiction::sim::controller::{Action, PidSettings};
-use stiction::sim::friction::SUB_STEPS;
-use stiction::sim::noise::Noise;
-use stiction::sim::process::{Pole, ProcessModel};
+use stiction_core::signal::stats::{mean, quantile, std_dev};
+use stiction_core::sim::controller::{Action, PidSettings};
+use stiction_core::sim::friction::SUB_STEPS;
+use stiction_core::sim::noise::Noise;
+use stiction_core::sim::process::{Pole, ProcessModel};
 use stiction_truth::draw::Draw;
 use stiction_truth::rig::{motions, tune, turns};
 

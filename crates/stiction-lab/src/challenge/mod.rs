@@ -35,7 +35,7 @@ pub use kinds::{Kind, Stage};
 pub use truth::{Answer, Tampered, Truth, TruthCase, seal};
 
 use generator::Order;
-use stiction::record::Record;
+use stiction_core::record::Record;
 use stiction_truth::draw::Draw;
 
 /// Development or test set: nothing chosen on one is reported on the same.

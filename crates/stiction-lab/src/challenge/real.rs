@@ -1,9 +1,9 @@
 //! Known truth in real recordings: exact artefacts, and effects added to an existing PV.
 
 use super::artefact::{Artefact, spikes};
-use stiction::record::Record;
-use stiction::signal::stats::{noise_sd, quantile, std_dev};
-use stiction::sim::disturbance::Disturbance;
+use stiction_core::record::Record;
+use stiction_core::signal::stats::{noise_sd, quantile, std_dev};
+use stiction_core::sim::disturbance::Disturbance;
 use stiction_truth::draw::Draw;
 
 /// A recording with an effect added to its PV.

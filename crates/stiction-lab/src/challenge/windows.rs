@@ -2,7 +2,7 @@
 
 use super::generator::{Case, Order, case};
 use super::kinds::Kind;
-use stiction::record::Record;
+use stiction_core::record::Record;
 use stiction_truth::draw::Draw;
 
 /// Windows, and periods in each.

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use super::{Difficulty, plant, stretched};
-use stiction::plantwide::{PlantLoop, frequency_hz};
-use stiction::record::Record;
-use stiction::signal::stats::span;
-use stiction::verdict::{Assessment, Oscillation, Window};
+use stiction_core::plantwide::{PlantLoop, frequency_hz};
+use stiction_core::record::Record;
+use stiction_core::signal::stats::span;
+use stiction_core::verdict::{Assessment, Oscillation, Window};
 use stiction_truth::draw::Draw;
 
 /// Plants that are drawn of either kind.

@@ -5,16 +5,15 @@
 use std::fs;
 use std::path::Path;
 
-use stiction::detect::oscillation;
-use stiction::gap::document::GapDocument;
-use stiction::gap::locate::{Subject, locate};
-use stiction::gap::{GapOptions, Serial, diagnose};
-use stiction::record::Record;
-use stiction::sim::actuator::Around;
-use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction::sim::controller::{Action, PidSettings};
-use stiction::sim::disturbance::Disturbance;
-use stiction::sim::process::ProcessModel;
+use stiction_core::detect::oscillation;
+use stiction_core::gap::document::GapDocument;
+use stiction_core::gap::{GapOptions, Serial, diagnose};
+use stiction_core::record::Record;
+use stiction_core::sim::actuator::Around;
+use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction_core::sim::controller::{Action, PidSettings};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::sim::process::ProcessModel;
 use stiction_truth::fixture::Draw;
 
 /// A sticking valve before a first-order process.
@@ -63,10 +62,9 @@ fn held(name: &str, model: LoopModel) {
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let options = GapOptions { period_points: period, ..GapOptions::default() };
     let diagnosis = diagnose(&record, &options, &Serial).unwrap();
-    let location = locate(&record, &Subject::of(&diagnosis, period, options.seed));
-    let document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
+    let document = GapDocument::new(name, &record, &options, &diagnosis);
     let text = serde_json::to_string_pretty(&document).unwrap() + "\n";
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../stiction/tests/golden/gap-{name}.json"));
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../stiction-core/tests/golden/gap-{name}.json"));
     if std::env::var_os("REMAKE").is_some() {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, &text).unwrap();

@@ -3,9 +3,9 @@
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use stiction::record::Record;
-use stiction::units::LoopKind;
-use stiction::verdict::{AssessParams, Assessment, assess};
+use stiction_core::record::Record;
+use stiction_core::units::LoopKind;
+use stiction_core::verdict::{AssessParams, Assessment, assess};
 use stiction_truth::fixture::boxed;
 
 /// One labelled recording.
@@ -127,6 +127,6 @@ fn read(path: &std::path::Path, _ts: Option<f64>) -> Option<Record> {
         record.sp = Some(column(3).chunks_exact(k).map(|c| c.iter().sum::<f64>() / k as f64).collect());
     }
     let steps: Vec<f64> = rows.windows(2).map(|w| w[1][0] - w[0][0]).collect();
-    record.irregularity = 1.4826 * stiction::signal::stats::mad(&steps) / ts;
+    record.irregularity = 1.4826 * stiction_core::signal::stats::mad(&steps) / ts;
     Some(record)
 }

@@ -2,12 +2,12 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::labelled;
-use stiction::record::Record;
-use stiction::signal::stats;
-use stiction::sim::closed_loop::{ValveLaw, ValveModel};
-use stiction::sim::disturbance::Disturbance;
-use stiction::sim::noise::quantise;
-use stiction::verdict::{AssessParams, Assessment, P_CALM, SCREENED, Verdict, assess, is_screened_out};
+use stiction_core::record::Record;
+use stiction_core::signal::stats;
+use stiction_core::sim::closed_loop::{ValveLaw, ValveModel};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::sim::noise::quantise;
+use stiction_core::verdict::{AssessParams, Assessment, P_CALM, SCREENED, Verdict, assess, is_screened_out};
 use stiction_truth::fixture::Draw;
 use stiction_truth::fixture::healthy::{drawn, healthy, settled};
 use stiction_truth::{Half, Regime, accuracy, verdict_case};

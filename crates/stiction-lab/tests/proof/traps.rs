@@ -2,10 +2,10 @@
 //! where the answer is certain it is asserted whole. Six seeds each.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction::record::Record;
-use stiction::sim::closed_loop::{ClosedLoop, LoopModel};
-use stiction::sim::disturbance::Disturbance;
-use stiction::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
+use stiction_core::record::Record;
+use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
 use stiction_truth::fixture::Draw;
 use stiction_truth::fixture::healthy::{drawn, healthy, settled};
 

@@ -3,12 +3,12 @@
 
 use std::collections::BTreeMap;
 
-use stiction::record::Record;
-use stiction::sim::closed_loop::{LoopModel, ValveLaw, ValveModel};
-use stiction::sim::disturbance::Disturbance;
-use stiction::sim::process::ProcessModel;
-use stiction::sim::scenario::Scenario;
-use stiction::verdict::{AssessParams, Verdict, assess};
+use stiction_core::record::Record;
+use stiction_core::sim::closed_loop::{LoopModel, ValveLaw, ValveModel};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::sim::process::ProcessModel;
+use stiction_core::sim::scenario::Scenario;
+use stiction_core::verdict::{AssessParams, Verdict, assess};
 use stiction_truth::fixture::healthy::{healthy, plain, settled, shaken, ultimate};
 
 /// Verdicts over seeds for one loop of a plant.

@@ -1,11 +1,11 @@
 //! The smallest band that a window would have shown, against valves that stick more and less than that.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction::record::Record;
-use stiction::signal::stats::span;
-use stiction::sim::closed_loop::{ClosedLoop, ValveLaw, ValveModel};
-use stiction::sim::disturbance::Disturbance;
-use stiction::verdict::{AssessParams, Assessment, assess};
+use stiction_core::record::Record;
+use stiction_core::signal::stats::span;
+use stiction_core::sim::closed_loop::{ClosedLoop, ValveLaw, ValveModel};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::verdict::{AssessParams, Assessment, assess};
 use stiction_truth::fixture::Draw;
 use stiction_truth::fixture::healthy::drawn;
 

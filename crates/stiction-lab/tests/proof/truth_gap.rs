@@ -4,15 +4,15 @@
 use crate::cases;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use stiction::detect::oscillation;
-use stiction::gap::model::{Added, Model, Process, SCHEMA, Valve};
-use stiction::gap::{Base, Diagnosis, Executor, FromSp, GapError, GapOptions, Serial, diagnose};
-use stiction::record::Record;
-use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction::sim::controller::{Action, PidSettings};
-use stiction::sim::disturbance::Disturbance;
-use stiction::sim::process::ProcessModel;
-use stiction::sim::slips::Stroke;
+use stiction_core::detect::oscillation;
+use stiction_core::gap::model::{Added, Model, Process, SCHEMA, Valve};
+use stiction_core::gap::{Base, Diagnosis, Executor, FromSp, GapError, GapOptions, Serial, diagnose};
+use stiction_core::record::Record;
+use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction_core::sim::controller::{Action, PidSettings};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::sim::process::ProcessModel;
+use stiction_core::sim::slips::Stroke;
 use stiction_lab::challenge::{Deck, Split};
 use stiction_truth::fixture::Draw;
 

@@ -2,9 +2,9 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction::ident::Options;
-use stiction::ident::width::{Settings, Trust};
-use stiction::verdict::{AssessParams, Assessment, ValveChoice, assess};
+use stiction_core::ident::Options;
+use stiction_core::ident::width::{Settings, Trust};
+use stiction_core::verdict::{AssessParams, Assessment, ValveChoice, assess};
 use stiction_lab::calibrate_intervals::{look, table};
 use stiction_truth::{self as truth, Half, Regime};
 

@@ -3,14 +3,14 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::cases;
-use stiction::record::Record;
-use stiction::repair::{Figure, NoRepair, Repair, RepairParams, repair};
-use stiction::signal::stats;
-use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction::sim::controller::{Action, PidSettings};
-use stiction::sim::disturbance::Disturbance;
-use stiction::sim::process::ProcessModel;
-use stiction::verdict::{AssessParams, assess};
+use stiction_core::record::Record;
+use stiction_core::repair::{Figure, NoRepair, Repair, RepairParams, repair};
+use stiction_core::signal::stats;
+use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction_core::sim::controller::{Action, PidSettings};
+use stiction_core::sim::disturbance::Disturbance;
+use stiction_core::sim::process::ProcessModel;
+use stiction_core::verdict::{AssessParams, assess};
 use stiction_truth::fixture::Draw;
 
 const SAMPLES: usize = 1_200;
@@ -184,7 +184,7 @@ fn what_cannot_be_told_is_refused_in_words() {
     let record = recorded(&model, 0);
     let params = AssessParams { always_fit: true, ..AssessParams::default() };
     let found = assess(&record, &params);
-    let answer = |change: &dyn Fn(&mut stiction::verdict::Assessment)| {
+    let answer = |change: &dyn Fn(&mut stiction_core::verdict::Assessment)| {
         let mut assessment = found.clone();
         change(&mut assessment);
         repair(&record, &assessment, &RepairParams::default()).unwrap_err()
@@ -195,9 +195,9 @@ fn what_cannot_be_told_is_refused_in_words() {
     );
     assert_eq!(answer(&|a| a.process = None), NoRepair::NoModel);
     assert!(matches!(answer(&|a| a.stiction = None), NoRepair::Inconclusive(_)));
-    let signs = |a: &mut stiction::verdict::Assessment| a.controller.as_mut().unwrap().kc *= -1.0;
+    let signs = |a: &mut stiction_core::verdict::Assessment| a.controller.as_mut().unwrap().kc *= -1.0;
     assert_eq!(answer(&signs), NoRepair::Signs);
-    let weak = |a: &mut stiction::verdict::Assessment| a.controller.as_mut().unwrap().kc *= 0.1;
+    let weak = |a: &mut stiction_core::verdict::Assessment| a.controller.as_mut().unwrap().kc *= 0.1;
     assert!(matches!(answer(&weak), NoRepair::OtherSpread(_) | NoRepair::OtherPace(_)));
     // Equal arguments, equal answers.
     assert_eq!(told(&record), told(&record));

@@ -2,11 +2,11 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction::ident::class::Class;
-use stiction::ident::surface::{Surface, solve};
-use stiction::ident::{ModelChoice, Options, ValveChoice};
-use stiction::optim::{self, Settings};
-use stiction::sim::slips::Law;
+use stiction_core::ident::class::Class;
+use stiction_core::ident::surface::{Surface, solve};
+use stiction_core::ident::{ModelChoice, Options, ValveChoice};
+use stiction_core::optim::{self, Settings};
+use stiction_core::sim::slips::Law;
 use stiction_truth::fixture::Loop;
 
 /// Enough for this record; the command line allows more.

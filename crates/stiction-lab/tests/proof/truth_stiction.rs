@@ -4,10 +4,10 @@
 
 use crate::cases;
 use proptest::prelude::*;
-use stiction::record::Record;
-use stiction::signal::stats;
-use stiction::sim::slips::Law;
-use stiction::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
+use stiction_core::record::Record;
+use stiction_core::signal::stats;
+use stiction_core::sim::slips::Law;
+use stiction_core::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
 use stiction_truth::fixture::{Draw, Loop, boxed};
 use stiction_truth::{Half, Regime, accuracy};
 

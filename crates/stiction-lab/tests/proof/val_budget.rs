@@ -11,14 +11,15 @@ use std::collections::BTreeSet;
 use crate::labelled::{self, RECORDINGS, cells};
 use crate::val_effects::budget;
 
-use stiction::detect::oscillation;
-use stiction::gap::budget::document::{CANNOT_BE_TOLD, DISTURBANCE, NOISE, NOT_SPLIT, UNEXPLAINED, VALVE_AND_PROCESS};
-use stiction::gap::budget::{Budget, Known};
-use stiction::gap::document::GapDocument;
-use stiction::gap::locate::{Subject, locate};
-use stiction::gap::{Diagnosis, GapOptions, Serial, UNKNOWN, diagnose};
-use stiction::ident::controller;
-use stiction::record::Record;
+use stiction_core::detect::oscillation;
+use stiction_core::gap::budget::document::{
+    CANNOT_BE_TOLD, DISTURBANCE, NOISE, NOT_SPLIT, UNEXPLAINED, VALVE_AND_PROCESS,
+};
+use stiction_core::gap::budget::{Budget, Known};
+use stiction_core::gap::document::GapDocument;
+use stiction_core::gap::{Diagnosis, GapOptions, Serial, UNKNOWN, diagnose};
+use stiction_core::ident::controller;
+use stiction_core::record::Record;
 use stiction_lab::hybrid::{EFFECTS, Loop};
 
 /// Samples of a recording that are taken.
@@ -237,8 +238,7 @@ fn what_every_recording_tells() {
             kinds[4] += 1;
             continue;
         };
-        let location = locate(record, &Subject::of(&made, options.period_points, options.seed));
-        let d = GapDocument::new(file, record, &options.base, &made, location);
+        let d = GapDocument::new(file, record, &options, &made);
         kinds[kind(&d)] += 1;
         let Some(budget) = &d.budget else { continue };
         let sum: f64 = budget.parts.iter().map(|p| p.share_pct).sum();

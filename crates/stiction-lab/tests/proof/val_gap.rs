@@ -2,12 +2,11 @@
 
 use crate::labelled;
 
-use stiction::detect::oscillation;
-use stiction::gap::document::GapDocument;
-use stiction::gap::locate::{Subject, locate};
-use stiction::gap::text::{answer, summary};
-use stiction::gap::{GapOptions, Serial, diagnose};
-use stiction::guard::SHIFT_S;
+use stiction_core::detect::oscillation;
+use stiction_core::gap::document::GapDocument;
+use stiction_core::gap::text::{answer, summary};
+use stiction_core::gap::{GapOptions, Serial, diagnose};
+use stiction_core::guard::SHIFT_S;
 
 /// Models tried for each record: a fraction of what `gap` takes, so that the test ends in minutes.
 const EVALUATIONS: u64 = 20_000;
@@ -59,8 +58,7 @@ fn no_headline_on_any_recording_closes_less_than_a_tenth_of_the_gap() {
         // A record without a base is refused with its reason.
         let Ok(diagnosis) = diagnose(&item.record, &options, &Serial) else { continue };
         diagnosed += 1;
-        let location = locate(&item.record, &Subject::of(&diagnosis, period, options.seed));
-        let document = GapDocument::new(&item.file, &item.record, &options.base, &diagnosis, location);
+        let document = GapDocument::new(&item.file, &item.record, &options, &diagnosis);
         wrong.extend(faults(&document).into_iter().map(|what| format!("{}: {what}", item.file)));
     }
     assert!(diagnosed >= 50, "{diagnosed} of {} recordings were diagnosed", all.len());

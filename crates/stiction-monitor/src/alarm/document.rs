@@ -1,13 +1,13 @@
 //! The alarm's document: every change as fields, so that nobody has to read prose.
 
 use serde::{Deserialize, Serialize};
-use stiction::ident::region::Size;
+use stiction_core::ident::region::Size;
 
 use super::{Priority, State};
 use crate::hash::short_hash;
-use stiction::units::format_rfc3339;
-use stiction::verdict::Assessment;
-use stiction::verdict::action::Action;
+use stiction_core::units::format_rfc3339;
+use stiction_core::verdict::Assessment;
+use stiction_core::verdict::action::Action;
 
 /// Schema name of an alarm.
 pub const ALARM_SCHEMA: &str = "stictiond.alarm.v2";

@@ -9,7 +9,7 @@ mod params;
 mod priority;
 
 use serde::{Deserialize, Serialize};
-use stiction::ident::region::Size;
+use stiction_core::ident::region::Size;
 
 pub use command::{Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
 pub use document::{ALARM_SCHEMA, AlarmDocument, AlarmWindow, Event, Figures, LoopContext, Mark, Marks};
@@ -17,9 +17,9 @@ pub use params::AlarmParams;
 pub use priority::Priority;
 
 use document::{Occurrence, event_id, occurrence_id};
-use stiction::units::format_rfc3339;
-use stiction::verdict::action::Action;
-use stiction::verdict::{Assessment, Gate, words};
+use stiction_core::units::format_rfc3339;
+use stiction_core::verdict::action::Action;
+use stiction_core::verdict::{Assessment, Gate, words};
 
 /// Share of the limit below which s counts towards clearing.
 const CLEAR_SHARE: f64 = 0.8;

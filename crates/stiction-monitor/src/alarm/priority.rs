@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use stiction::ident::region::Size;
+use stiction_core::ident::region::Size;
 
 /// Priority of an alarm (ISA-18.2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]

@@ -3,9 +3,9 @@
 use super::*;
 use Priority::{High, Urgent};
 use proptest::prelude::*;
-use stiction::ident::region::Size;
-use stiction::units::Moment;
-use stiction::verdict::{Oscillation, Process, Verdict, Window};
+use stiction_core::ident::region::Size;
+use stiction_core::units::Moment;
+use stiction_core::verdict::{Oscillation, Process, Verdict, Window};
 
 fn assessment(k: i64, verdict: Verdict, s: f64, strength_by_span: Size) -> Assessment {
     let (start_ns, end_ns) = (k * 10, (k + 1) * 10);

@@ -3,10 +3,10 @@
 use serde::Serialize;
 
 use super::{AnalysisError, MIN_SAMPLES, Points, Section};
-use stiction::record::Record;
-use stiction::signal::detrend::remove_line;
-use stiction::signal::resample::{boxed, decimated};
-use stiction::signal::stats;
+use stiction_core::record::Record;
+use stiction_core::signal::detrend::remove_line;
+use stiction_core::signal::resample::{boxed, decimated};
+use stiction_core::signal::stats;
 
 /// Trend removed from PV and SP. Mean and median change no result, because the model has its own offset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -126,8 +126,8 @@ fn detrend(record: &mut Record, kind: Detrend) {
 mod tests {
     use super::*;
     use crate::config::Config;
-    use stiction::record::{Sample, Signal, Value};
-    use stiction::units::ns_from_s;
+    use stiction_core::record::{Sample, Signal, Value};
+    use stiction_core::units::ns_from_s;
 
     fn points(n: usize) -> Points {
         let of =

@@ -5,7 +5,7 @@ use std::slice::Iter;
 
 use crate::config::Config;
 use crate::engine::{Engine, Event, LoopId, Request};
-use stiction::record::Sample;
+use stiction_core::record::Sample;
 
 /// The windows of one loop that come due while its samples are taken, oldest first. Their answers are independent, so they
 /// may be computed in any order or not at all. As in the daemon, a window is due once the loop's time has passed its end; a
@@ -58,8 +58,8 @@ impl Iterator for Due<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::record::{Signal, Value};
-    use stiction::units::ns_from_s;
+    use stiction_core::record::{Signal, Value};
+    use stiction_core::units::ns_from_s;
 
     fn samples(n: usize) -> Vec<Sample> {
         let of =

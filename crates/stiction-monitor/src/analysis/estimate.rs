@@ -4,13 +4,13 @@ use serde::Serialize;
 
 use super::solver::SolverDocument;
 use super::{AnalysisError, Cut, Points, Section, Taken};
-use stiction::gap::model_file::ModelFile;
-use stiction::gap::score::score;
-use stiction::gap::{GapError, GapOptions};
-use stiction::ident::Options;
-use stiction::record::Record;
-use stiction::signal::stats;
-use stiction::verdict::{
+use stiction_core::gap::model_file::ModelFile;
+use stiction_core::gap::score::score;
+use stiction_core::gap::{GapError, GapOptions};
+use stiction_core::ident::Options;
+use stiction_core::record::Record;
+use stiction_core::signal::stats;
+use stiction_core::verdict::{
     AssessParams, Assessment, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows,
 };
 

@@ -1,13 +1,12 @@
 //! The gap of one section, as `gap` measures and writes it.
 
 use super::{AnalysisError, Cut, Points, Section};
-use stiction::detect::oscillation;
-use stiction::gap::document::GapDocument;
-use stiction::gap::locate::{Subject, locate};
-use stiction::gap::model_file::ModelFile;
-use stiction::gap::pool::{self, PoolError};
-use stiction::gap::{self, Base, Diagnosis, Executor, GapError, GapOptions, Neighbour};
-use stiction::record::Record;
+use stiction_core::detect::oscillation;
+use stiction_core::gap::document::GapDocument;
+use stiction_core::gap::model_file::ModelFile;
+use stiction_core::gap::pool::{self, PoolError};
+use stiction_core::gap::{self, Base, Diagnosis, Executor, GapError, GapOptions, Neighbour};
+use stiction_core::record::Record;
 
 /// Most points of a simulation; sections with more samples are averaged in bins.
 pub const MAX_POINTS: usize = 8_192;
@@ -113,8 +112,7 @@ pub fn diagnose(
     executor: &dyn Executor,
 ) -> Result<Diagnosed, GapError> {
     let diagnosis = gap::diagnose(&record, options, executor)?;
-    let location = locate(&record, &Subject::of(&diagnosis, options.period_points, options.seed));
-    let document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
+    let document = GapDocument::new(name, &record, options, &diagnosis);
     Ok(Diagnosed { document, record, diagnosis })
 }
 
@@ -142,9 +140,8 @@ pub fn decide_together(windows: &[DiagnosedWindow], settings: &GapSettings) -> R
     let alone = &windows[together.clearest].alone;
     let (record, diagnosis) = (alone.record.clone(), alone.diagnosis.with_answer_of(&together));
     let options = settings.options(&record);
-    let location = locate(&record, &Subject::of(&diagnosis, options.period_points, options.seed));
     let name = &alone.document.loop_name;
-    let mut document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
+    let mut document = GapDocument::new(name, &record, &options, &diagnosis);
     document.pooled = pool::notes(&each, together.clearest);
     Ok((together.clearest, Diagnosed { document, record, diagnosis }))
 }

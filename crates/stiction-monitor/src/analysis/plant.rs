@@ -4,8 +4,8 @@ use std::collections::HashSet;
 
 use super::{AnalysisError, Answer};
 use crate::alarm::LoopContext;
-use stiction::plantwide::{GroupDocument, PlantLoop, assess_plant};
-use stiction::record::Record;
+use stiction_core::plantwide::{GroupDocument, PlantLoop, assess_plant};
+use stiction_core::record::Record;
 
 /// One loop of a plant.
 #[derive(Debug)]

@@ -7,10 +7,10 @@ use serde::Serialize;
 use super::AnalysisError;
 use crate::config::Config;
 use crate::engine::{LoopSettings, longest, section, windows};
-use stiction::record::{Record, Sample, Signal, Value};
-use stiction::signal::align::{Point, align_all};
-use stiction::units::format_rfc3339;
-use stiction::verdict::{AssessParams, swapped};
+use stiction_core::record::{Record, Sample, Signal, Value};
+use stiction_core::signal::align::{Point, align_all};
+use stiction_core::units::format_rfc3339;
+use stiction_core::verdict::{AssessParams, swapped};
 
 /// Fewest usable samples, and fewest points after downsampling, for a fit.
 pub const MIN_SAMPLES: usize = 30;

@@ -1,9 +1,9 @@
 //! Measured and simulated PV of a diagnosed section, row by row.
 
-use stiction::gap::Diagnosis;
-use stiction::record::Record;
-use stiction::signal::align::Point;
-use stiction::units::ns_from_s;
+use stiction_core::gap::Diagnosis;
+use stiction_core::record::Record;
+use stiction_core::signal::align::Point;
+use stiction_core::units::ns_from_s;
 
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,7 +4,7 @@
 //! written when they change), and so it is where OP and PV stand in rows of their own, as when both carry their own
 //! stamps. A table that stands newest first is put in order of time. What was done is said in a line each.
 
-use stiction::record::{Sample, Signal, Value};
+use stiction_core::record::{Sample, Signal, Value};
 
 /// Steps back from which a table stands newest first, if they outnumber the steps on.
 const NEWEST_FIRST: u64 = 3;

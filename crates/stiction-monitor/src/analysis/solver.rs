@@ -2,13 +2,13 @@
 
 use serde::Serialize;
 
-use stiction::ident::Options;
-use stiction::ident::class::Class;
-use stiction::ident::surface::{Solved, Surface};
-use stiction::optim::{Objective, Settings, Solver, Termination};
-use stiction::record::Record;
-use stiction::sim::slips::Law;
-use stiction::verdict::{Assessment, Process};
+use stiction_core::ident::Options;
+use stiction_core::ident::class::Class;
+use stiction_core::ident::surface::{Solved, Surface};
+use stiction_core::optim::{Objective, Settings, Solver, Termination};
+use stiction_core::record::Record;
+use stiction_core::sim::slips::Law;
+use stiction_core::verdict::{Assessment, Process};
 
 /// A solver's result, as in documents.
 #[derive(Debug, Clone, PartialEq, Serialize)]

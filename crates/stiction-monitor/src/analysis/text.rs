@@ -1,10 +1,10 @@
 //! Documents in words.
 
 use super::Answer;
-use stiction::plantwide;
-use stiction::units::{self, duration, optional as number, significant};
-use stiction::verdict::action::Action;
-use stiction::verdict::{Assessment, EstimateDocument, Process, words};
+use stiction_core::plantwide;
+use stiction_core::units::{self, duration, optional as number, significant};
+use stiction_core::verdict::action::Action;
+use stiction_core::verdict::{Assessment, EstimateDocument, Process, words};
 
 /// Rows of text: a name and what it says, a name only where it changes.
 struct Rows(Vec<String>);

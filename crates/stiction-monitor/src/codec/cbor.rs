@@ -9,7 +9,7 @@ use serde::de::IgnoredAny;
 use super::fields::{Bundle, Field, Memory};
 use super::samples::read_samples;
 use super::{Codec, CodecError, MAX_SAMPLES, named};
-use stiction::record::{Sample, Signal};
+use stiction_core::record::{Sample, Signal};
 
 /// The format `cbor`.
 #[derive(Debug, Clone, Copy)]
@@ -84,7 +84,7 @@ fn ended(cbor: Deserializer<SliceReader<'_>>) -> Result<(), CodecError> {
 mod tests {
     use super::*;
     use crate::codec::decode;
-    use stiction::record::Value;
+    use stiction_core::record::Value;
 
     fn read(payload: &[u8]) -> Vec<(i64, Value, Option<u32>)> {
         let mut out = Vec::new();

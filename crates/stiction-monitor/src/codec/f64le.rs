@@ -1,7 +1,7 @@
 //! A raw little-endian f64: 8 bytes, no time, no quality.
 
 use super::{Bundle, Codec, CodecError, Field, Memory};
-use stiction::record::{Sample, Signal, Value};
+use stiction_core::record::{Sample, Signal, Value};
 
 /// The format `f64le`.
 #[derive(Debug, Clone, Copy)]

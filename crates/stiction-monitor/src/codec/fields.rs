@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use stiction::record::{Mode, Sample, Signal, Value};
+use stiction_core::record::{Mode, Sample, Signal, Value};
 
 use super::CodecError;
 

@@ -5,7 +5,7 @@
 
 use super::samples::read_samples;
 use super::{Bundle, Codec, CodecError, Field, MAX_SAMPLES, Memory, named};
-use stiction::record::{Sample, Signal};
+use stiction_core::record::{Sample, Signal};
 
 /// The format `json`.
 #[derive(Debug, Clone, Copy)]
@@ -118,7 +118,7 @@ fn string_end(payload: &[u8], start: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::record::{Mode, Value};
+    use stiction_core::record::{Mode, Value};
 
     fn read(signal: Signal, text: &str) -> Result<Vec<Sample>, CodecError> {
         let mut out = Vec::new();

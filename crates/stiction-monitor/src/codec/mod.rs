@@ -25,7 +25,7 @@ pub use recorded::{decode_recorded, encode_recorded};
 pub use sparkplug::Sparkplug;
 pub use telegraf::{LineProtocol, TelegrafJson};
 
-use stiction::record::{Sample, Signal};
+use stiction_core::record::{Sample, Signal};
 use thiserror::Error;
 
 /// Largest payload decoded, bytes.
@@ -230,7 +230,7 @@ fn choose(payload: &[u8], encoding: Option<&str>, configured: Option<&str>) -> R
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use stiction::record::Value;
+    use stiction_core::record::Value;
 
     fn one(payload: &[u8], encoding: Option<&str>, configured: Option<&str>) -> (&'static str, Value) {
         let mut out = Vec::new();

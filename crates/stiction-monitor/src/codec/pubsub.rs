@@ -9,7 +9,7 @@ use serde_json::{Map, Value as Json};
 use super::fields::{Bundle, Field, Memory, Scalar, ua_quality};
 use super::json::tree;
 use super::{Codec, CodecError, MAX_SAMPLES};
-use stiction::units::parse_time;
+use stiction_core::units::parse_time;
 
 /// Built-in types whose values are text in JSON: 64-bit integers.
 const WIDE: [i64; 2] = [8, 9];

@@ -2,7 +2,7 @@
 
 use super::{CodecError, decode};
 use std::io::Write;
-use stiction::record::{Sample, Signal, Value};
+use stiction_core::record::{Sample, Signal, Value};
 
 /// Appends the sample's recorded form to `out`; [`decode_recorded`] restores it bit for bit.
 ///
@@ -40,7 +40,7 @@ pub fn decode_recorded(signal: Signal, payload: &[u8]) -> Result<Sample, CodecEr
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use stiction::record::Mode;
+    use stiction_core::record::Mode;
 
     fn recorded(sample: &Sample) -> String {
         let mut out = Vec::new();

@@ -3,8 +3,8 @@
 
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use std::fmt;
-use stiction::record::{Mode, Sample, Signal, Value};
-use stiction::units::parse_time;
+use stiction_core::record::{Mode, Sample, Signal, Value};
+use stiction_core::units::parse_time;
 
 use super::MAX_SAMPLES;
 

@@ -4,7 +4,7 @@
 //! so on. In foreign recordings the last level names the signal and everything before it the loop.
 
 use std::fmt;
-use stiction::record::Signal;
+use stiction_core::record::Signal;
 
 /// Topic levels below which the daemon publishes.
 pub const OUTPUT_CHUNKS: &str = "@stiction/v1";

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Config, LoopConfig};
-use stiction::record::Signal;
-use stiction::units::LoopKind;
+use stiction_core::record::Signal;
+use stiction_core::units::LoopKind;
 
 /// Settings outside `[[loop]]` that a running daemon takes over; all others need a restart.
 const AT_ONCE: [&str; 10] = [

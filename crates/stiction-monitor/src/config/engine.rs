@@ -5,9 +5,9 @@ use std::sync::Arc;
 use super::{Config, LoopConfig};
 use crate::alarm::LoopContext;
 use crate::engine::{EngineSettings, LoopSettings, Origins};
-use stiction::signal::align::{AlignParams, Quality};
-use stiction::units::{LoopKind, ns_from_s};
-use stiction::verdict::AssessParams;
+use stiction_core::signal::align::{AlignParams, Quality};
+use stiction_core::units::{LoopKind, ns_from_s};
+use stiction_core::verdict::AssessParams;
 
 impl Config {
     /// Settings of an engine.

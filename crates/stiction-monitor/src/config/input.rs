@@ -6,7 +6,7 @@ use toml::de::DeTable;
 use super::bundle::codec_words;
 use super::reader::{Fault, Lines, TableReader};
 use crate::codec::AUTO;
-use stiction::record::Mode;
+use stiction_core::record::Mode;
 
 /// Default of `[input] queue_bytes`.
 const QUEUE_BYTES: usize = 64 << 20;

@@ -11,8 +11,8 @@ use super::reader::{Fault, Lines, TableReader, subtables};
 use super::{LoopConfig, read_window};
 use crate::alarm::AlarmParams;
 use crate::engine::WindowParams;
-use stiction::record::Signal;
-use stiction::units::{LoopKind, is_loop_name};
+use stiction_core::record::Signal;
+use stiction_core::units::{LoopKind, is_loop_name};
 
 /// Action of a controller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

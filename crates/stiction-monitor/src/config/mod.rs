@@ -29,9 +29,9 @@ use crate::alarm::AlarmParams;
 use crate::engine::{GapParams, WindowParams};
 use crate::hash::short_hash;
 use crate::shard::Shard;
-use stiction::record::Signal;
-use stiction::signal::history::{LEAST_BYTES, fitting};
-use stiction::units::is_loop_name;
+use stiction_core::record::Signal;
+use stiction_core::signal::history::{LEAST_BYTES, fitting};
+use stiction_core::units::is_loop_name;
 
 /// Whether nothing is set.
 fn is_default<T: Default + PartialEq>(settings: &T) -> bool {

@@ -10,10 +10,10 @@ use super::LoopId;
 use super::gaps::{Accepted, Watched};
 use super::settings::{LoopSettings, WindowParams};
 use super::windowing::choose_record;
-use stiction::record::Record;
-use stiction::signal::history::History;
-use stiction::units::{Moment, s_from_ns};
-use stiction::verdict::{Assessment, Gate, Oscillation, Window, assess};
+use stiction_core::record::Record;
+use stiction_core::signal::history::History;
+use stiction_core::units::{Moment, s_from_ns};
+use stiction_core::verdict::{Assessment, Gate, Oscillation, Window, assess};
 
 /// A loop's history at one moment.
 #[derive(Debug, Clone)]

@@ -16,19 +16,18 @@ use serde::{Deserialize, Serialize};
 
 use super::LoopId;
 use super::settings::GapParams;
-use stiction::detect::oscillation;
-use stiction::gap::document::GapDocument;
-use stiction::gap::locate::{Subject, locate};
-use stiction::gap::model::{self, Model};
-use stiction::gap::pool;
-use stiction::gap::{self, Base, Executor, GapError, GapOptions, Neighbour};
-use stiction::ident;
-use stiction::ident::free_run::free_run;
-use stiction::record::Record;
-use stiction::signal::stats;
-use stiction::sim::slips::Law;
-use stiction::units::format_rfc3339;
-use stiction::verdict::Assessment;
+use stiction_core::detect::oscillation;
+use stiction_core::gap::document::GapDocument;
+use stiction_core::gap::model::{self, Model};
+use stiction_core::gap::pool;
+use stiction_core::gap::{self, Base, Executor, GapError, GapOptions, Neighbour};
+use stiction_core::ident;
+use stiction_core::ident::free_run::free_run;
+use stiction_core::record::Record;
+use stiction_core::signal::stats;
+use stiction_core::sim::slips::Law;
+use stiction_core::units::format_rfc3339;
+use stiction_core::verdict::Assessment;
 
 /// Points of fit below the loop's median from which a window departs.
 pub const FIT_DROP_PCT: f64 = 15.0;
@@ -291,8 +290,7 @@ impl GapRequest {
         let is_pooled = own.is_some() && windows.len() > 1;
         let together = is_pooled.then(|| pool::decide_together(&windows)).transpose()?;
         let diagnosis = together.map_or_else(|| alone.clone(), |together| alone.with_answer_of(&together));
-        let location = locate(&self.record, &Subject::of(&diagnosis, period_points, options.seed));
-        let mut document = GapDocument::new(&self.loop_name, &self.record, &options.base, &diagnosis, location);
+        let mut document = GapDocument::new(&self.loop_name, &self.record, &options, &diagnosis);
         if is_pooled {
             document.pooled = pool::notes(&windows, self.earlier.len());
         }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::neighbours::RecordedNeighbour;
 use super::{Checkpoint, GroupStanding, SkipReason};
 use crate::alarm::Command;
-use stiction::gap::pool;
+use stiction_core::gap::pool;
 
 /// Schema name of a recorded input.
 pub const INPUT_SCHEMA: &str = "stictiond.input.v1";

@@ -8,14 +8,14 @@ use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, POOLED, POOLED_NS
 use super::plant::{GroupStanding, LoopWindow};
 use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, SkipReason, StateDocument, StreamState};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
-use stiction::gap::MIN_POINTS;
-use stiction::gap::model::Model;
-use stiction::gap::pool;
-use stiction::record::{Record, Sample};
-use stiction::signal::align::{Aligned, Aligner};
-use stiction::signal::history::History;
-use stiction::units::ns_from_s;
-use stiction::verdict::{Assessment, EstimateDocument, MemberJudgement};
+use stiction_core::gap::MIN_POINTS;
+use stiction_core::gap::model::Model;
+use stiction_core::gap::pool;
+use stiction_core::record::{Record, Sample};
+use stiction_core::signal::align::{Aligned, Aligner};
+use stiction_core::signal::history::History;
+use stiction_core::units::ns_from_s;
+use stiction_core::verdict::{Assessment, EstimateDocument, MemberJudgement};
 
 /// A diagnosis on its way; the answer once it came is none where it was given up.
 #[derive(Debug)]

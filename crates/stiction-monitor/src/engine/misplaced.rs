@@ -6,12 +6,12 @@
 use std::cell::OnceCell;
 use std::sync::Arc;
 
-use stiction::ident::controller::{self, Reading};
-use stiction::record::Record;
-use stiction::signal::detrend::{remove_line, remove_mean};
-use stiction::signal::{lag, stats};
-use stiction::units::ns_from_s;
-use stiction::verdict::swapped::POINTS;
+use stiction_core::ident::controller::{self, Reading};
+use stiction_core::record::Record;
+use stiction_core::signal::detrend::{remove_line, remove_mean};
+use stiction_core::signal::{lag, stats};
+use stiction_core::units::ns_from_s;
+use stiction_core::verdict::swapped::POINTS;
 
 /// Least common points of two loops.
 const LEAST_POINTS: usize = 120;

@@ -24,9 +24,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
 use looper::Loop;
-use stiction::record::Sample;
-use stiction::signal::align::{AlignCounts, Aligner};
-use stiction::verdict::EstimateDocument;
+use stiction_core::record::Sample;
+use stiction_core::signal::align::{AlignCounts, Aligner};
+use stiction_core::verdict::EstimateDocument;
 
 pub use due::{Request, Snapshot, WindowAnswer};
 pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};

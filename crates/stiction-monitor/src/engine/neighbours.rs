@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Engine, GapRequest};
-use stiction::gap::Neighbour;
+use stiction_core::gap::Neighbour;
 
 /// Most loops that are offered to a diagnosis.
 pub const MOST: usize = 8;

@@ -15,10 +15,10 @@ use super::misplaced::{Misplaced, misplaced};
 use super::{LoopSettings, neighbours};
 use crate::alarm::LoopContext;
 use crate::hash::short_hash;
-use stiction::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
-use stiction::record::Record;
-use stiction::units::ns_from_s;
-use stiction::verdict::{Assessment, MemberJudgement};
+use stiction_core::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
+use stiction_core::record::Record;
+use stiction_core::units::ns_from_s;
+use stiction_core::verdict::{Assessment, MemberJudgement};
 
 /// Hops after which the window of a loop that fell silent is no longer compared.
 const KEPT_HOPS: f64 = 3.0;
@@ -262,8 +262,8 @@ impl GroupStanding {
 mod tests {
     use super::*;
     use crate::config::Config;
-    use stiction::units::Moment;
-    use stiction::verdict::{Oscillation, Window};
+    use stiction_core::units::Moment;
+    use stiction_core::verdict::{Oscillation, Window};
 
     const HOP_NS: i64 = 300_000_000_000;
 

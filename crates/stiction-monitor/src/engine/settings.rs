@@ -6,11 +6,11 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::{AlarmParams, LoopContext};
-use stiction::record::Signal;
-use stiction::signal::align::AlignParams;
-use stiction::signal::history::{History, fitting};
-use stiction::units::LoopKind;
-use stiction::verdict::AssessParams;
+use stiction_core::record::Signal;
+use stiction_core::signal::align::AlignParams;
+use stiction_core::signal::history::{History, fitting};
+use stiction_core::units::LoopKind;
+use stiction_core::verdict::AssessParams;
 
 /// When windows come due and how long they are; times in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

@@ -1,11 +1,11 @@
 //! Which stretch of a loop's past a due window takes.
 
 use super::settings::WindowParams;
-use stiction::detect::oscillation;
-use stiction::record::Record;
-use stiction::signal::align::Point;
-use stiction::signal::history::{View, record_of};
-use stiction::units::ns_from_s;
+use stiction_core::detect::oscillation;
+use stiction_core::record::Record;
+use stiction_core::signal::align::Point;
+use stiction_core::signal::history::{View, record_of};
+use stiction_core::units::ns_from_s;
 
 /// Doublings between two looks: what oscillates too slowly for one is well within the next.
 const LEVEL_STEP: usize = 2;
@@ -112,7 +112,7 @@ pub fn longest(stretches: &[Vec<Point>], from_ns: i64, to_ns: i64) -> (&[Point],
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::units::ns_from_s;
+    use stiction_core::units::ns_from_s;
 
     fn stretch(n: usize, period: f64) -> Vec<Point> {
         let wave = |k: usize, phase: f64| libm::sin(2.0 * core::f64::consts::PI * (k as f64 / period + phase));

@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-use stiction::signal::stats::median;
-use stiction::units::{number, probability};
+use stiction_core::signal::stats::median;
+use stiction_core::units::{number, probability};
 
 /// Windows with an answer that each side needs.
 const LEAST: usize = 3;

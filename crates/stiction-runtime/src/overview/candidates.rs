@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, PoisonError};
 
-use stiction::verdict::EstimateDocument;
+use stiction_core::verdict::EstimateDocument;
 use stiction_monitor::alarm::{AlarmDocument, LoopContext};
 
 use super::{Entry, Overview, trend};

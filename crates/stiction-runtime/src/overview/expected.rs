@@ -5,7 +5,7 @@ use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::{Overview, SILENT_UNKNOWN_S};
-use stiction::record::Signal;
+use stiction_core::record::Signal;
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::{Action, Config, LoopConfig};
 

@@ -7,8 +7,8 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::Overview;
-use stiction::plantwide::{GroupDocument, SourceKind};
-use stiction::units::ms_from_ns;
+use stiction_core::plantwide::{GroupDocument, SourceKind};
+use stiction_core::units::ms_from_ns;
 
 /// Comparisons of a group whose members stay at hand.
 const COMPARISONS_KEPT: usize = 200;

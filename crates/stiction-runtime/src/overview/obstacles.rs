@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use super::expected::{Awaited, Expected};
 use super::{Entry, Loops, Overview, SharePoint};
-use stiction::units::{duration, ms_from_ns};
-use stiction::verdict::action::better_data;
-use stiction::verdict::{AssessParams, Assessment, Gate, Verdict, words};
+use stiction_core::units::{duration, ms_from_ns};
+use stiction_core::verdict::action::better_data;
+use stiction_core::verdict::{AssessParams, Assessment, Gate, Verdict, words};
 
 /// Kind of an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::obstacles::Since;
 use super::{Obstacles, Overview, Survey};
-use stiction::units::ms_from_ns;
+use stiction_core::units::ms_from_ns;
 
 /// Points that are kept: a month of hours.
 const POINTS: usize = 24 * 31;

@@ -5,8 +5,8 @@ use std::sync::{Arc, PoisonError};
 
 use super::Overview;
 use super::obstacles::ObstacleKind;
-use stiction::ident::controller::CERTAIN_R2;
-use stiction::verdict::Assessment;
+use stiction_core::ident::controller::CERTAIN_R2;
+use stiction_core::verdict::Assessment;
 use stiction_monitor::config::Action;
 use stiction_monitor::engine::Misplaced;
 

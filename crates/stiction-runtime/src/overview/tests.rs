@@ -1,9 +1,9 @@
 //! Changes as readers are given them, silence, and the newest windows.
 
 use super::*;
-use stiction::plantwide::GroupDocument;
-use stiction::record::Record;
-use stiction::verdict::{AssessParams, assess};
+use stiction_core::plantwide::GroupDocument;
+use stiction_core::record::Record;
+use stiction_core::verdict::{AssessParams, assess};
 use stiction_monitor::alarm::Alarm;
 use stiction_truth::fixture::group::driven_group;
 

@@ -1,8 +1,8 @@
 //! Horch's cross-correlation (Horch 1999): where the correlation of OP and PV crosses zero next to lag 0.
 
 use super::{Answer, Case, Method};
-use stiction::signal::spectrum::zero_crossings;
-use stiction::signal::stats::dot;
+use stiction_core::signal::spectrum::zero_crossings;
+use stiction_core::signal::stats::dot;
 
 /// Published thresholds: of the crossings' asymmetry, and of how far the correlation at lag 0 is from its extreme.
 const LAGS: [f64; 2] = [1.0 / 3.0, 2.0 / 3.0];

@@ -1,7 +1,7 @@
 //! He's curve fit (He, Wang, Pottmann and Qin 2007): half cycles that are triangles rather than sinusoids.
 
 use super::{Answer, Case, Method};
-use stiction::detect::curve_fit;
+use stiction_core::detect::curve_fit;
 
 /// Published thresholds.
 const INDEX: [f64; 2] = [0.4, 0.6];

@@ -9,9 +9,9 @@ mod curve_fit;
 mod shape;
 mod toolbox;
 
-use stiction::detect::{View, oscillation};
-use stiction::ident::sign;
-use stiction::record::Record;
+use stiction_core::detect::{View, oscillation};
+use stiction_core::ident::sign;
+use stiction_core::record::Record;
 
 /// A record as the methods get it.
 #[derive(Debug)]
@@ -70,8 +70,8 @@ pub const ALL: [&dyn Method; 4] =
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::sim::process::Pole;
-    use stiction::sim::valve::he_step;
+    use stiction_core::sim::process::Pole;
+    use stiction_core::sim::valve::he_step;
 
     fn answers(op: &[f64], pv: &[f64]) -> Vec<Answer> {
         let record = Record::uniform(1.0, op.to_vec(), pv.to_vec());

@@ -1,8 +1,8 @@
 //! Yamashita's qualitative shapes (Yamashita 2006): OP moves while PV rests, and PV then moves the right way.
 
 use super::{Answer, Case, Method};
-use stiction::signal::detrend::remove_mean;
-use stiction::signal::stats::std_dev;
+use stiction_core::signal::detrend::remove_mean;
+use stiction_core::signal::stats::std_dev;
 
 /// Published threshold: what unrelated signals give.
 const INDEX: f64 = 0.25;

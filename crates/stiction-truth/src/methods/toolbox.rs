@@ -1,8 +1,8 @@
 //! The toolbox's method (Lee, Ren and Huang 2008): the best cell of He's law against no friction.
 
 use super::{Answer, Case, Method};
-use stiction::ident::one_step::{Best, Search, toolbox};
-use stiction::signal::stats;
+use stiction_core::ident::one_step::{Best, Search, toolbox};
+use stiction_core::signal::stats;
 
 /// Samples a period that are kept; the dead times tried are counted in samples.
 const POINTS_PER_PERIOD: f64 = 100.0;

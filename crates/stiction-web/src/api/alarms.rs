@@ -10,7 +10,7 @@ use std::time::Duration;
 use super::reviews::{DatedReview, last_of_loops};
 use super::{Answered, ENGINE_WITHIN, Operation, ResponseKind, Shared, of};
 use crate::extract::{JsonBody, PathName};
-use stiction::units::ns_from_s;
+use stiction_core::units::ns_from_s;
 use stiction_monitor::alarm::{AlarmDocument, Command, State as AlarmState};
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::control::Control;

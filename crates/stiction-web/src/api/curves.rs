@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use stiction::record::Signal;
+use stiction_core::record::Signal;
 use stiction_files::LoadedLoop;
 use stiction_files::archive::{Archive, Reach, Wanted};
 use stiction_monitor::codec;

@@ -23,7 +23,7 @@ use crate::error::ApiError;
 use crate::extract::QueryParams;
 use crate::guard::Permission;
 use crate::server::{IdleTimer, Peer};
-use stiction::units::ms_from_ns;
+use stiction_core::units::ms_from_ns;
 use stiction_monitor::codec::topic::Kind;
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::overview::Changes;

@@ -13,7 +13,7 @@ use super::worth::{COMPARED, look};
 use super::{Operation, Parameter, ResponseKind, Shared, of};
 use crate::error::ApiError;
 use crate::extract::QueryParams;
-use stiction::units::{Moment, format_rfc3339, ms_from_ns, number};
+use stiction_core::units::{Moment, format_rfc3339, ms_from_ns, number};
 use stiction_files::reviews::{Label, Method, Review, escaped};
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::maintenance::{Outcome, Work};

@@ -30,7 +30,7 @@ use super::error::ApiError;
 use super::guard::Guard;
 use super::server::Limits;
 use super::table::{self, Operation, Parameter, ResponseKind, of};
-use stiction::record::Record;
+use stiction_core::record::Record;
 use stiction_files::archive::{Archive, SharedArchive};
 use stiction_files::reviews::Reviews;
 use stiction_monitor::codec::topic::{self, Kind};

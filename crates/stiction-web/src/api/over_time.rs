@@ -8,8 +8,8 @@ use serde::Serialize;
 use super::past::{FROM, Range, TO, windows};
 use super::{Answered, Operation, ResponseKind, Shared, of};
 use crate::extract::{PathName, QueryParams};
-use stiction::over_time::{Change, ChangeKind, Contradicting, Pooled, Trend, WindowResult, over_time};
-use stiction::units::ms_from_ns;
+use stiction_core::over_time::{Change, ChangeKind, Contradicting, Pooled, Trend, WindowResult, over_time};
+use stiction_core::units::ms_from_ns;
 use stiction_files::archive::Reach;
 
 /// A valve over time; times in ms since 1970.

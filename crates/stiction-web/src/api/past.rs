@@ -15,9 +15,9 @@ use super::{Answered, Live, Operation, Parameter, ResponseKind, Shared, of};
 use crate::error::ApiError;
 use crate::extract::{PathName, QueryParams};
 use crate::thin::thin;
-use stiction::over_time::WindowResult;
-use stiction::record::Signal;
-use stiction::units::{ms_from_ns, ns_from_ms, ns_from_s};
+use stiction_core::over_time::WindowResult;
+use stiction_core::record::Signal;
+use stiction_core::units::{ms_from_ns, ns_from_ms, ns_from_s};
 use stiction_files::archive::{Archive, Reach, Wanted};
 use stiction_monitor::analysis::{Points, Section};
 use stiction_monitor::codec::topic::{self, Kind};
@@ -178,7 +178,8 @@ async fn trend(
             let signals = [Signal::Op, Signal::Pv, Signal::Sp];
             let (one, reach) = recorded_within(&archive, &name, &signals, [from_ns, to_ns]);
             let joined = Points::of(&name, &one.samples, &config).samples(Section::Whole).unwrap_or_default();
-            let column = |of: fn(&stiction::signal::align::Point) -> f64| joined.iter().map(of).collect::<Vec<f64>>();
+            let column =
+                |of: fn(&stiction_core::signal::align::Point) -> f64| joined.iter().map(of).collect::<Vec<f64>>();
             let (op, pv, sp) = (column(|p| p.op), column(|p| p.pv), column(|p| p.sp.unwrap_or(f64::NAN)));
             let places = thin(&[&op, &pv, &sp], points);
             let shown = |values: &[f64]| places.iter().map(|k| Some(values[*k]).filter(|v| v.is_finite())).collect();

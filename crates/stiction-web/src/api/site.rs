@@ -10,7 +10,7 @@ use std::sync::PoisonError;
 use super::{Operation, ResponseKind, Shared, of};
 use crate::guard::Permission;
 use crate::server::Peer;
-use stiction::units::ms_from_ns;
+use stiction_core::units::ms_from_ns;
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::overview::DataHealth;
 
@@ -103,7 +103,7 @@ pub(super) fn site_of(live: &Shared, token: Permission) -> Site {
         kind: SiteKind::Daemon,
         prefix: config.site.prefix.clone(),
         daemon_id: health.daemon.clone(),
-        version: stiction::VERSION,
+        version: stiction_core::VERSION,
         config_hash: health.config_hash.clone(),
         time_zone: config.web.page.time_zone.clone(),
         now_ms: ms_from_ns(now),

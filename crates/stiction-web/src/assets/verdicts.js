@@ -1,4 +1,4 @@
-// The texts of verdicts, from crates/stiction/src/verdict/texts.rs; a test compares them.
+// The texts of verdicts, from crates/stiction-core/src/verdict/texts.rs; a test compares them.
 
 export const VERDICTS = {
   stiction: { short: "sticks", words: "the valve sticks and slips" },

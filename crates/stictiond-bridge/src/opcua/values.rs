@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use stiction::units::format_rfc3339;
+use stiction_core::units::format_rfc3339;
 
 /// Publisher name in the payloads.
 pub const ENCODING: &str = "application/opcua+uajson";
@@ -147,7 +147,7 @@ mod server {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::record::{Signal, Value};
+    use stiction_core::record::{Signal, Value};
     use stiction_monitor::codec;
 
     #[test]

@@ -33,7 +33,7 @@ impl DeadLetters {
     pub fn append(&self, receiver: &str, item: &Item, attempts: u32, reason: &str) -> io::Result<()> {
         let document: serde_json::Value = serde_json::from_str(&item.document).unwrap_or_default();
         let line = json!({
-            "time": stiction::units::format_rfc3339(now_ns()),
+            "time": stiction_core::units::format_rfc3339(now_ns()),
             "receiver": receiver,
             "attempts": attempts,
             "reason": reason,

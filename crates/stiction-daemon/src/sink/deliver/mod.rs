@@ -28,7 +28,7 @@ use serde::{Deserialize, Serialize};
 use dead::DeadLetters;
 use keep::{Change, Keep};
 use queue::Queue;
-use stiction::units::format_rfc3339;
+use stiction_core::units::format_rfc3339;
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::alarm::{AlarmDocument, Priority};
 use stiction_monitor::codec::topic::Kind;

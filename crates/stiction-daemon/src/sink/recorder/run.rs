@@ -77,7 +77,7 @@ impl RunInfo {
         let mut metadata = BTreeMap::from(
             [
                 ("prefix", self.prefix.clone()),
-                ("version", stiction::VERSION.to_owned()),
+                ("version", stiction_core::VERSION.to_owned()),
                 ("config", self.config.text.clone()),
                 ("config_hash", self.config.hash.clone()),
                 ("loop_map", self.config.loop_map.clone()),
@@ -109,7 +109,7 @@ impl RunInfo {
     #[must_use]
     pub fn stem(&self, shard: usize, file_index: u32) -> String {
         let stamp: String =
-            stiction::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
+            stiction_core::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
         let stamp = &stamp[..stamp.len().min(14)];
         format!("{}-{stamp}-{}-s{shard}-{file_index:05}", self.prefix.replace('/', "_"), self.run_id)
     }

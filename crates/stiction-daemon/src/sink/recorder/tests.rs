@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::*;
-use stiction::record::Value;
+use stiction_core::record::Value;
 use stiction_files::disk::DiskFile;
 use stiction_monitor::config::Config;
 

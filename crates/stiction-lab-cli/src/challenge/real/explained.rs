@@ -4,11 +4,11 @@
 use serde_json::{Value, json};
 
 use super::{called, text};
-use stiction::detect::oscillation;
-use stiction::gap::{Diagnosis, Fit, GapOptions, Serial, UNKNOWN, diagnose};
-use stiction::record::Record;
-use stiction::signal::stats;
 use stiction_command::say;
+use stiction_core::detect::oscillation;
+use stiction_core::gap::{Diagnosis, Fit, GapOptions, Serial, UNKNOWN, diagnose};
+use stiction_core::record::Record;
+use stiction_core::signal::stats;
 
 /// Share of PV's variance above which the base counts as informative.
 const FOLLOWS: f64 = 0.5;

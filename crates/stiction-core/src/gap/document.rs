@@ -9,13 +9,15 @@ use super::budget::{self, Budget};
 use super::decide::LITTLE;
 use super::effects;
 use super::judged::Diagnosis;
-use super::locate::Location;
+use super::locate::{Location, Subject, locate};
 use super::loop_run::Cycles;
 use super::model::Model;
 use super::pool::WindowNote;
 use super::sizes::{Quantity, share_left};
 use super::structure::BASE;
-use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp, NONE, Parameter, Stage, UNKNOWN};
+use super::types::{
+    Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp, GapOptions, NONE, Parameter, Stage, UNKNOWN,
+};
 use super::typical::{self, Known, TypicalNote};
 use crate::record::Record;
 use crate::signal::stats;
@@ -308,10 +310,10 @@ pub fn closed_pct(before: f64, after: f64) -> Option<f64> {
 }
 
 impl GapDocument {
-    /// Makes the document of a diagnosis with base `base`.
+    /// Makes the document of a diagnosis of a record with these options.
     #[must_use]
-    pub fn new(loop_name: &str, record: &Record, base: &Base, diagnosis: &Diagnosis, location: Location) -> Self {
-        let document = Self::without_budget(loop_name, record, base, diagnosis, location);
+    pub fn new(loop_name: &str, record: &Record, options: &GapOptions, diagnosis: &Diagnosis) -> Self {
+        let document = Self::without_budget(loop_name, record, options, diagnosis);
         let budget = Budget::of(record, known(diagnosis));
         let explained = document.closed_loop.as_ref().map(|cycles| cycles.controller.r2);
         let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.base.slips, explained));
@@ -338,13 +340,7 @@ impl GapDocument {
         Self { cause: CauseNote { why, ..self.cause }, tellable, ..self }
     }
 
-    fn without_budget(
-        loop_name: &str,
-        record: &Record,
-        base: &Base,
-        diagnosis: &Diagnosis,
-        location: Location,
-    ) -> Self {
+    fn without_budget(loop_name: &str, record: &Record, options: &GapOptions, diagnosis: &Diagnosis) -> Self {
         let deviation = stats::std_dev(&record.pv);
         let figures = |fit: &Fit| Figures {
             rmse: fit.rmse,
@@ -357,11 +353,11 @@ impl GapDocument {
             schema: GAP_SCHEMA.to_owned(),
             loop_name: loop_name.to_owned(),
             window: Window::of(record),
-            base: BaseNote::of(base, &diagnosis.base),
+            base: BaseNote::of(&options.base, &diagnosis.base),
             gap: figures(&diagnosis.base),
             given,
             parametric: given.map(|g| g.gap - diagnosis.base.gap),
-            location,
+            location: locate(record, &Subject::of(diagnosis, options.period_points, options.seed)),
             effects: diagnosis.effects.iter().map(EffectNote::of).collect(),
             cause: CauseNote {
                 id: diagnosis.cause.id.clone(),

@@ -228,7 +228,7 @@ impl ClosedLoop {
 
     /// Time of the next scan, s from the start of the recording.
     #[must_use]
-    pub const fn time_s(&self) -> f64 {
+    pub(crate) const fn time_s(&self) -> f64 {
         self.t_s
     }
 

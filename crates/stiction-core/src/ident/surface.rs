@@ -1,26 +1,6 @@
 //! The error surface over the friction bands, as the toolbox plots and searches it: for an exact pair (fs, fd), the mean squared
 //! free-run error of the best process of one class (Lee, Ren and Huang 2008, their error map).
 //!
-//! ```
-//! use stiction::ident::class::Class;
-//! use stiction::ident::surface::{Surface, solve};
-//! use stiction::ident::Options;
-//! use stiction::optim::{AdaptiveRandom, Settings};
-//! # use stiction::record::Record;
-//! # use stiction::sim::{slips::Law, valve::he_step};
-//! # let op: Vec<f64> = (0..300).map(|k| 6.0 * (f64::from(k) * 0.1).sin()).collect();
-//! # let (mut stem, mut level, mut pv) = (0.0, 0.0, Vec::new());
-//! # for &u in &op {
-//! #     pv.push(level);
-//! #     stem = he_step(stem, u, 2.5, 1.0);
-//! #     level += 0.1 * (1.5 * stem - level);
-//! # }
-//! # let record = Record::uniform(1.0, op, pv);
-//! let mut surface = Surface::new(&record, &Options::default(), Law::He, Class::First).expect("signals that move");
-//! let found = solve(&mut surface, &AdaptiveRandom, &Settings { budget: 500, fineness_pct: 5.0, seed: 1 });
-//! assert!(found.fs + found.fd <= found.s0 && found.mse < surface.mse(0.0, 0.0));
-//! ```
-//!
 //! [`super::quantify`] searches differently (whole cells of equal slips at once, fd solved, several views of the error). This
 //! surface is for general solvers and error maps.
 
@@ -136,12 +116,6 @@ impl Surface {
     #[must_use]
     pub const fn s0(&self) -> f64 {
         self.span
-    }
-
-    /// Process class.
-    #[must_use]
-    pub const fn class(&self) -> Class {
-        self.class
     }
 
     /// Number of pairs evaluated.

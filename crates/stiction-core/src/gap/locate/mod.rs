@@ -265,7 +265,7 @@ pub struct Location {
 
 /// What is looked at: a fit, and what the diagnosis knows beside it.
 #[derive(Debug, Clone, Copy)]
-pub struct Subject<'a> {
+pub(crate) struct Subject<'a> {
     /// The model whose residual is looked at.
     pub fit: &'a Fit,
     /// Which points count.
@@ -287,7 +287,7 @@ pub struct Subject<'a> {
 impl<'a> Subject<'a> {
     /// The model that a diagnosis measures from: the given one as it was given, else the base.
     #[must_use]
-    pub fn of(diagnosis: &'a Diagnosis, period_points: Option<f64>, seed: u64) -> Self {
+    pub(crate) fn of(diagnosis: &'a Diagnosis, period_points: Option<f64>, seed: u64) -> Self {
         Self {
             fit: diagnosis.given.as_ref().unwrap_or(&diagnosis.base),
             blocks: &diagnosis.blocks,
@@ -303,7 +303,7 @@ impl<'a> Subject<'a> {
 
 /// Says where a model's gap lies on the record that it was fitted to.
 #[must_use]
-pub fn locate(record: &Record, subject: &Subject<'_>) -> Location {
+pub(crate) fn locate(record: &Record, subject: &Subject<'_>) -> Location {
     let held = Held::new(record, subject);
     let (segments, uneven_segments) = time::segments(&held);
     let steps = cycle::Steps::of(&held);
