@@ -198,7 +198,8 @@ pub fn verdict_stretch(half: Half, seed: u64, windows: usize) -> TruthLoop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_core::sim::slips::{FirstSlip, Law, Sequence};
+    use stiction_core::sim::slips::{FirstSlip, Law};
+    use stiction_core::sim::steps::Path;
 
     fn bits(found: &TruthLoop) -> Vec<u64> {
         found.op.iter().chain(&found.pv).chain(&found.sp).chain(&found.mv).map(|x| x.to_bits()).collect()
@@ -233,12 +234,10 @@ mod tests {
                 let first = found.mv.iter().position(|v| *v != rest).unwrap();
                 let direction = (found.op[first] - rest).signum();
                 let first = FirstSlip { direction, threshold: rest + direction * fs };
-                let mut sequence = Sequence::default();
-                sequence.run(law, &found.op, 1, s, j, first);
+                let (stem, _) = Path::new(found.op.clone(), 1).stem(law, [s, j], fd, first);
                 let slipped = found.mv.iter().position(|v| *v != rest).unwrap();
-                for k in slipped..found.mv.len() {
-                    let stem = sequence.at[k] - sequence.direction[k] * fd;
-                    assert!((stem - found.mv[k]).abs() < 1e-9, "{regime:?} {seed} at {k}");
+                for (k, (stem, mv)) in stem.iter().zip(&found.mv).enumerate().skip(slipped) {
+                    assert!((stem - mv).abs() < 1e-9, "{regime:?} {seed} at {k}");
                 }
             }
         }

@@ -1,6 +1,5 @@
 //! From the search's normalised places to models and fits in recorded units.
 
-use super::answer::INTEGRATOR_SCALE;
 use super::candidate::{Candidate, Parameters};
 use super::model::{Added, Model, Process, SCHEMA, Valve};
 use super::noise;
@@ -72,7 +71,8 @@ pub(crate) fn model(problem: &Problem, structure: &Structure, of: &Candidate) ->
     let plan = structure.plan(&of.theta);
     let per_op = problem.deviation / problem.span;
     let total = if plan.zero { of.linear.gain + of.linear.others[of.linear.count - 1] } else { of.linear.gain };
-    let gain = if plan.integrating { total * per_op / INTEGRATOR_SCALE / problem.point_s } else { total * per_op };
+    let by_point = plan.class().gain(total * per_op);
+    let gain = if plan.integrating { by_point / problem.point_s } else { by_point };
     let tau = libm::exp(of.theta.log_tau);
     let time_constants = match (plan.integrating, plan.tau2 > 0.0) {
         (true, _) => vec![],

@@ -1,7 +1,6 @@
 //! A model from elsewhere, simulated on a record as it is: only what the record must supply is fitted (the stem before
 //! it, PV's level, the process' state, and loads that the model names without their size).
 
-use super::answer::INTEGRATOR_SCALE;
 use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::{self, Effect, Param, Reach, Unit, Way};
 use super::express::{Errors, above_floor, slips};
@@ -10,6 +9,7 @@ use super::plain::PlainPass;
 use super::problem::Problem;
 use super::structure::Structure;
 use super::types::Fit;
+use crate::ident::class::Class;
 use crate::ident::slip_search::problem::{EVEN_STARTS, Problem as SlipProblem};
 use crate::sim::slips::{FirstSlip, Law};
 
@@ -30,8 +30,8 @@ pub(crate) fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> 
     model.check()?;
     let structure = structure(model)?;
     let theta = theta(problem, model, &structure);
-    let integrating = if model.process.integrating { INTEGRATOR_SCALE * problem.point_s } else { 1.0 };
-    let gain = model.process.gain * problem.span / problem.deviation * integrating;
+    let per_point = if model.process.integrating { problem.point_s / Class::Integrating.gain(1.0) } else { 1.0 };
+    let gain = model.process.gain * problem.span / problem.deviation * per_point;
     let mut pass = PlainPass::new(problem, gain.signum());
     let mut best: Option<Candidate> = None;
     for first in firsts(problem, model, &theta) {

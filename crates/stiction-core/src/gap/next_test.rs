@@ -1,5 +1,7 @@
 //! The next test: the smallest bump of OP that tells the two best answers apart, found by simulating both.
 
+use std::sync::Arc;
+
 use super::candidate::{Candidate, Linear};
 use super::judged::Diagnosis;
 use super::plain::PlainPass;
@@ -10,6 +12,7 @@ use super::types::{NONE, NextTest, UNKNOWN};
 use crate::guard;
 use crate::signal::stats;
 use crate::sim::slips::FirstSlip;
+use crate::sim::steps::Path;
 
 /// Probability that is asked for.
 const WANTED: f64 = 0.95;
@@ -73,13 +76,12 @@ fn answer(problem: &Problem, search: &Search, size: f64, hold: usize) -> Option<
     let best = search.best.first()?;
     let mut test = problem.clone();
     let lead = problem.blocks.from.max(1);
-    test.normalised.path = vec![0.0; lead];
+    let mut op = vec![0.0; lead];
     for level in [size, 0.0, -size, 0.0] {
-        test.normalised.path.extend(core::iter::repeat_n(level, hold));
+        op.extend(core::iter::repeat_n(level, hold));
     }
-    test.normalised.per_point = 1;
-    let n = test.normalised.path.len();
-    test.normalised.pv = vec![0.0; n];
+    test.normalised.pv = vec![0.0; op.len()];
+    test.normalised.path = Arc::new(Path::new(op, 1));
     let fs = 0.5 * (best.theta.s + best.theta.j);
     let plan = search.structure.plan(&best.theta);
     let mut place: Candidate = *best;

@@ -11,11 +11,10 @@ use super::candidate::{Candidate, Linear, MAX_COLUMNS, Parameters};
 use super::plan::Plan;
 use super::problem::{Problem, View};
 use super::structure::Structure;
-use super::valve_signal::switch_of;
-use crate::ident::kinetic_band::{Freedom, MIN_SLIPS, best_band, freedom};
+use super::valve_signal::ValveSignal;
+use crate::ident::kinetic_band::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
-use crate::sim::actuator::lag_path;
-use crate::sim::slips::Sequence;
+use crate::sim::actuator::Around;
 
 /// Initial slope of a pair of lags, that of the quicker one alone being 1, from which it counts as leading.
 const LEADS: f64 = 0.5;
@@ -35,18 +34,11 @@ pub(crate) struct PlainPass<'a> {
     pub sign: f64,
     /// Responses computed.
     pub evaluations: u64,
-    /// Responses that may be computed: from there on nothing is found any more.
-    pub limit: u64,
-    sequence: Sequence,
-    path: Vec<f64>,
-    valve: Vec<f64>,
-    other: Vec<f64>,
-    drift: Vec<f64>,
-    bent: Vec<f64>,
+    signal: ValveSignal,
+    /// The valve signal's level and direction at every point; where it is not linear in fd, the signal itself and nothing.
+    valve: [Vec<f64>; 2],
     long: Vec<f64>,
-    longer: Vec<f64>,
     columns: Vec<Vec<f64>>,
-    shifted: Vec<f64>,
 }
 
 impl<'a> PlainPass<'a> {
@@ -57,73 +49,23 @@ impl<'a> PlainPass<'a> {
             problem,
             sign,
             evaluations: 0,
-            limit: u64::MAX,
-            sequence: Sequence::default(),
-            path: Vec::new(),
-            valve: Vec::new(),
-            other: Vec::new(),
-            drift: Vec::new(),
-            bent: Vec::new(),
+            signal: ValveSignal::default(),
+            valve: [Vec::new(), Vec::new()],
             long: Vec::new(),
-            longer: Vec::new(),
             columns: vec![Vec::new(); MAX_COLUMNS],
-            shifted: Vec::new(),
         }
     }
 
-    /// Runs the valve; false where the stem hardly moves.
-    fn run_valve(&mut self, plan: &Plan, theta: &mut Parameters) -> bool {
-        let q = &self.problem.normalised;
-        let (path, per_point) = if plan.positioner > 0.0 {
-            let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut self.path);
-            (&self.path, per_point)
-        } else {
-            (&q.path, q.per_point)
-        };
-        match plan.law {
-            Some(law) => {
-                let bands = [theta.s, theta.j];
-                self.sequence.run_in(plan.stroke, law, path, per_point, bands, theta.first);
-                if self.sequence.slips < MIN_SLIPS {
-                    return false;
-                }
-            }
-            None => {
-                let m = per_point as f64;
-                self.sequence.at.clear();
-                self.sequence.at.extend(path.chunks_exact(per_point).map(|p| p.iter().sum::<f64>() / m));
-                self.sequence.direction.clear();
-                self.sequence.direction.resize(self.sequence.at.len(), 0.0);
-            }
-        }
+    /// Runs the valve; `None` where the stem hardly moves.
+    fn run_valve(&mut self, plan: &Plan, theta: &mut Parameters) -> Option<Freedom> {
+        let freedom = self.signal.make(self.problem, plan, theta, self.sign)?;
+        self.signal.sample(self.problem.n(), &mut self.valve);
         if !plan.is_linear_in_fd() {
-            if plan.law.is_some() {
-                let [low, high] = self.band_of(plan, theta).fd;
-                theta.fd = theta.fd.clamp(low, high);
-            }
-            self.assemble(plan, theta.fd);
-        } else {
-            self.valve.clear();
+            let [valve, direction] = &mut self.valve;
+            valve.iter_mut().zip(&*direction).for_each(|(v, d)| *v -= theta.fd * d);
+            direction.clear();
         }
-        self.bent.clear();
-        if plan.bend != 0.0 {
-            self.bent.extend(self.valve.iter().map(|v| plan.bent(*v)));
-        }
-        if let Some([time, more]) = plan.switch {
-            let halves = [&mut self.sequence.at, &mut self.sequence.direction, &mut self.valve, &mut self.bent];
-            for half in halves.into_iter().filter(|half| !half.is_empty()) {
-                switched(half, time, more, &mut self.shifted);
-            }
-        }
-        true
-    }
-
-    /// The valve signal behind everything that follows the stem.
-    fn assemble(&mut self, plan: &Plan, fd: f64) {
-        let Sequence { at, direction, .. } = &self.sequence;
-        self.valve.clear();
-        self.valve.extend(at.iter().zip(direction).map(|(a, d)| a - fd * d));
-        plan.follow(&mut self.valve, 1.0);
+        Some(freedom)
     }
 
     /// Makes the compact columns of a plan: others first, then one or two for the valve. Returns how many others.
@@ -133,8 +75,6 @@ impl<'a> PlainPass<'a> {
         let from = problem.blocks.from;
         let [tau1, tau2] = plan.time_constants(theta.log_tau);
         let tau = libm::exp(theta.log_tau);
-        let lag = theta.lag.floor().max(0.0);
-        let (whole, fraction) = (lag as usize, theta.lag.max(0.0) - lag);
         let mut count = 0;
         let mut put = |columns: &mut Vec<Vec<f64>>, long: &[f64]| {
             problem.gather(long, view, &mut columns[count]);
@@ -154,60 +94,29 @@ impl<'a> PlainPass<'a> {
             self.long.extend((0..n).map(|k| (k as f64 - from as f64) / n as f64));
             put(&mut self.columns, &self.long);
         }
-        self.drift.clear();
-        if let Some(drift) = plan.drift {
-            self.drift.extend(drift.course(n));
-        }
         for load in loads(plan, tau, problem) {
             put(&mut self.columns, &load);
         }
         // What does.
-        let linear_in_fd = plan.is_linear_in_fd();
-        let signal = if plan.bend != 0.0 {
-            &self.bent
-        } else if linear_in_fd {
-            &self.sequence.at
-        } else {
-            &self.valve
-        };
-        let process = Process { plan, tau: [tau1, tau2], whole, fraction };
+        let [signal, direction] = &self.valve;
+        let process = Process { plan, tau: [tau1, tau2], lag: theta.lag.max(0.0) };
         let main = if plan.zero { Process { tau: [tau1, 0.0], ..process } } else { process };
         let second = Process { tau: [tau2, 0.0], ..process };
         let others = count + usize::from(plan.zero);
-        let halves = [(second, signal), (main, signal), (main, &self.sequence.direction)];
-        let used = if linear_in_fd { 3 } else { 2 };
+        let halves = [(second, signal), (main, signal), (main, direction)];
+        let used = if plan.is_linear_in_fd() { 3 } else { 2 };
         for (i, (process, signal)) in halves.into_iter().enumerate().take(used).skip(usize::from(!plan.zero)) {
-            let signal = match plan.drift {
-                Some(drift) => {
-                    self.other.clear();
-                    self.other.extend(signal.iter().zip(&self.drift).map(|(v, x)| v * (1.0 + drift.change * x)));
-                    &self.other
-                }
-                None => signal,
-            };
-            process.respond(signal, &mut self.long, &mut self.longer);
-            problem.gather(&self.long, view, &mut self.columns[others + i - 1]);
+            problem.gather(&process.respond(signal), view, &mut self.columns[others + i - 1]);
         }
         others
     }
 
-    /// The values of fd that the slips at hand leave open.
-    fn band_of(&self, plan: &Plan, theta: &Parameters) -> Freedom {
-        freedom(&self.sequence, [theta.s, theta.j], self.sign, self.problem.normalised.limits, plan.slip_end())
-    }
-
-    /// The best linear part at one place; `None` where the stem hardly moves, no gain of the sign helps, or the limit is
-    /// reached.
+    /// The best linear part at one place; `None` where the stem hardly moves or no gain of the sign helps.
     pub(crate) fn evaluate(&mut self, structure: &Structure, theta: &Parameters, view: View) -> Option<Candidate> {
-        if self.evaluations >= self.limit {
-            return None;
-        }
         self.evaluations += 1;
         let plan = structure.plan(theta);
         let mut theta = *theta;
-        if !self.run_valve(&plan, &mut theta) {
-            return None;
-        }
+        let freedom = self.run_valve(&plan, &mut theta)?;
         let others = self.make_columns(&plan, &theta, view);
         let target = self.problem.target(view);
         let two = plan.is_linear_in_fd();
@@ -225,7 +134,6 @@ impl<'a> PlainPass<'a> {
         let (gain, known, explained) = if two {
             let at = |i: usize, k: usize| gram.at(others + i, others + k);
             let system = [at(0, 0), at(0, 1), at(1, 1), at(0, 2), at(1, 2)];
-            let freedom = self.band_of(&plan, &theta);
             let (gain, fd, explained) = best_band(system, [whole, whole_direction], &freedom);
             theta.fd = fd;
             (gain, [gain, -gain * fd], explained)
@@ -245,8 +153,7 @@ impl<'a> PlainPass<'a> {
             return None;
         }
         let sse = (gram.at(last, last) - explained).max(0.0);
-        let cells = [self.sequence.s_cell, self.sequence.j_cell];
-        Some(Candidate { theta, sse, cells, slips: self.sequence.slips, linear })
+        Some(Candidate { theta, sse, cells: self.cells(), slips: self.signal.steps.slips, linear })
     }
 
     /// As [`PlainPass::evaluate`] by the plain error with fd and the gain held: only the other columns are fitted.
@@ -254,9 +161,7 @@ impl<'a> PlainPass<'a> {
         self.evaluations += 1;
         let plan = structure.plan(theta);
         let (mut moved, fd) = (*theta, theta.fd);
-        if !self.run_valve(&plan, &mut moved) {
-            return None;
-        }
+        self.run_valve(&plan, &mut moved)?;
         let others = self.make_columns(&plan, theta, View::Plain);
         let only = Linear { others: [0.0; MAX_COLUMNS], count: 0, gain };
         let mut left = Vec::new();
@@ -277,9 +182,12 @@ impl<'a> PlainPass<'a> {
         let all = gram.back(others, &[]);
         let mut linear = Linear { count: others, ..only };
         linear.others[..others].copy_from_slice(&all[..others]);
-        let cells = [self.sequence.s_cell, self.sequence.j_cell];
         let sse = gram.at(others, others).max(0.0);
-        Some(Candidate { theta: *theta, sse, cells, slips: self.sequence.slips, linear })
+        Some(Candidate { theta: *theta, sse, cells: self.cells(), slips: self.signal.steps.slips, linear })
+    }
+
+    fn cells(&self) -> [[f64; 2]; 2] {
+        [self.signal.steps.s_cell, self.signal.steps.j_cell]
     }
 
     fn combine(&self, plan: &Plan, others: usize, fd: f64, linear: &Linear, out: &mut Vec<f64>) {
@@ -324,15 +232,17 @@ impl<'a> PlainPass<'a> {
         let whole = self.problem.whole();
         let mut pass = PlainPass::new(&whole, self.sign);
         let mut theta = of.theta;
-        if !pass.run_valve(plan, &mut theta) {
-            return None;
-        }
+        pass.run_valve(plan, &mut theta)?;
         let others = pass.make_columns(plan, &theta, View::Plain);
         let linear = pass.begun_within_reason(plan, linear);
         let mut out = Vec::new();
         pass.combine(plan, others, theta.fd, &linear, &mut out);
-        pass.assemble(plan, theta.fd);
-        Some((out, pass.valve))
+        // What flows before the characteristic, when it flows.
+        let around = Around { bend: 0.0, ..plan.around };
+        pass.run_valve(&Plan { around, switch: None, drift: None, ..*plan }, &mut theta)?;
+        let [mut valve, direction] = pass.valve;
+        valve.iter_mut().zip(&direction).for_each(|(v, d)| *v -= theta.fd * d);
+        Some((out, valve))
     }
 
     /// Without an initial state beyond PV's range that no fitted point sees: on a record of few stored values it is noise
@@ -351,17 +261,6 @@ impl<'a> PlainPass<'a> {
             linear.others[1..=memories].fill(0.0);
         }
         linear
-    }
-}
-
-/// Lets a signal come `more` points later from point `time` on.
-fn switched(signal: &mut Vec<f64>, time: f64, more: f64, work: &mut Vec<f64>) {
-    let (at, whole, part) = switch_of(time, more, signal.len());
-    let last = signal.len() as i64 - 1;
-    work.clone_from(signal);
-    let value = |k: i64| work[k.clamp(0, last) as usize];
-    for k in at..=last {
-        signal[k as usize] = (1.0 - part) * value(k - whole) + part * value(k - whole - 1);
     }
 }
 

@@ -6,7 +6,7 @@
 
 use crate::ident::class::Class;
 use crate::ident::normalised::SlipEnd;
-use crate::sim::actuator::{bent, play_step, rate_step, stop_step};
+use crate::sim::actuator::Around;
 use crate::sim::process::separated;
 use crate::sim::slips::{Law, Stroke};
 
@@ -59,16 +59,8 @@ pub struct Plan {
     pub overshoot: bool,
     /// Uneven bands, and stops that the stem itself meets, spans.
     pub stroke: Stroke,
-    /// Lag before the friction, points.
-    pub positioner: f64,
-    /// Fastest move of the stem, spans a point.
-    pub rate: f64,
-    /// Ends of what passes the stem, spans.
-    pub stops: [f64; 2],
-    /// Play behind the stem, spans.
-    pub play: f64,
-    /// Bend of the valve's characteristic, `expm1(bend v) / bend`: the share by which its slope grows with each span.
-    pub bend: f64,
+    /// What stands around the stem, points and spans.
+    pub around: Around,
     /// Share by which gain and time constant grow with the valve signal, for each span.
     pub level: f64,
     /// The gain drifts over the record.
@@ -112,11 +104,7 @@ impl Plan {
             law,
             overshoot: false,
             stroke: Stroke::FREE,
-            positioner: 0.0,
-            rate: f64::INFINITY,
-            stops: [f64::NEG_INFINITY, f64::INFINITY],
-            play: 0.0,
-            bend: 0.0,
+            around: Around::NONE,
             level: 0.0,
             drift: None,
             tau2: 0.0,
@@ -141,43 +129,7 @@ impl Plan {
     /// Whether something stands behind the stem that changes its signal.
     #[must_use]
     pub(crate) fn shapes_signal(&self) -> bool {
-        self.follows() || self.bend != 0.0 || self.switch.is_some() || self.drift.is_some()
-    }
-
-    /// Whether something follows the stem that changes its signal.
-    #[must_use]
-    pub(crate) fn follows(&self) -> bool {
-        self.rate < f64::INFINITY || self.stops != Self::base(None).stops || self.play > 0.0
-    }
-
-    /// Lets what follows the stem (rate limit, ends of the flow, play) act on its signal, `per` points a value.
-    pub(crate) fn follow(&self, valve: &mut [f64], per: f64) {
-        let Some(first) = valve.first().copied() else { return };
-        if self.rate < f64::INFINITY {
-            let mut stem = first;
-            for v in &mut *valve {
-                stem = rate_step(stem, *v, self.rate * per);
-                *v = stem;
-            }
-        }
-        if self.stops != Self::base(None).stops {
-            for v in &mut *valve {
-                *v = stop_step(*v, self.stops);
-            }
-        }
-        if self.play > 0.0 {
-            let mut far = first;
-            for v in &mut *valve {
-                far = play_step(far, *v, self.play);
-                *v = far;
-            }
-        }
-    }
-
-    /// The valve's characteristic at `v`.
-    #[must_use]
-    pub(crate) fn bent(&self, v: f64) -> f64 {
-        bent(v, self.bend)
+        self.around.shapes_flow() || self.switch.is_some() || self.drift.is_some()
     }
 
     /// The class of process that the search of [`crate::ident`] knows it by.
@@ -193,7 +145,7 @@ impl Plan {
     /// Whether the valve signal is linear in fd, `at - fd * direction`.
     #[must_use]
     pub(crate) fn is_linear_in_fd(&self) -> bool {
-        self.law.is_some() && !self.follows() && self.level == 0.0 && self.bend == 0.0 && !self.zero
+        self.law.is_some() && !self.around.shapes_flow() && self.level == 0.0 && !self.zero
     }
 
     /// Where the linear coefficients of a part stand among those of the other columns, which the evaluator makes in this

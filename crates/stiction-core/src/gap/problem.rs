@@ -12,7 +12,6 @@ use crate::ident::normalised::{NormalisedRecord, normalise};
 use crate::ident::{ModelChoice, Options, ValveChoice, sign};
 use crate::record::Record;
 use crate::signal::stats;
-use crate::sim::steps::Path;
 
 /// Filter of the view in which wrong slips and slow disturbances weigh little: `1 - rho q^-1`.
 pub(crate) const MOVES_RHO: f64 = 0.95;
@@ -49,8 +48,6 @@ pub struct Problem {
     targets: [Vec<f64>; 2],
     /// The same for the evaluator.
     views: [Arc<evaluator::View>; 2],
-    /// OP on its way to the stem.
-    pub path: Arc<Path>,
     /// Sign of the gain, where it could be read.
     pub sign: Option<f64>,
     /// Typical period, points.
@@ -115,7 +112,6 @@ impl Problem {
             test: Vec::new(),
             targets: [Vec::new(), Vec::new()],
             views: [Arc::clone(&nothing), nothing],
-            path: Arc::new(Path::new(normalised.path.clone(), normalised.per_point)),
             drawn: None,
             measured: vec![true; record.len()],
             normalised,

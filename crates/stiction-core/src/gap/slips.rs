@@ -4,6 +4,8 @@
 //! which has a zero, it does not know: what these do is taken out of PV as the effect's search has it so far, so that slips
 //! and effect are found in turn. It sees the whole record; what it finds are starts for the fits to the training blocks.
 
+use std::sync::Arc;
+
 use super::candidate::{MAX_PARAMS, Parameters};
 use super::plain::{PlainPass, loads};
 use super::plan::Plan;
@@ -85,11 +87,11 @@ pub(crate) fn search_slips(problem: &Problem, search: &Search, length: Length, s
 /// The record as the search for a plan's slips sees it; `None` where the search's best has no free run.
 fn normalised_of(problem: &Problem, search: &Search, plan: &Plan) -> Option<NormalisedRecord> {
     let mut normalised = problem.normalised.clone();
-    if plan.positioner > 0.0 {
-        let plain = &problem.normalised;
-        normalised.per_point = lag_path(&plain.path, plain.per_point, plan.positioner, &mut normalised.path);
-        normalised.mean = box_means(&normalised.path, normalised.per_point);
-        normalised.extremes = NormalisedRecord::running_extremes(&normalised.path);
+    if plan.around.pilot > 0.0 {
+        let path = lag_path(&normalised.path, plan.around.pilot);
+        normalised.mean = box_means(path.values(), path.per_point());
+        normalised.extremes = NormalisedRecord::running_extremes(path.values());
+        normalised.path = Arc::new(path);
     }
     normalised.stroke = plan.stroke;
     normalised.slip_end = plan.slip_end();

@@ -8,7 +8,7 @@ use super::plan::{Drift, Plan};
 use super::problem::Problem;
 use crate::ident::kinetic_band::{Freedom, MIN_SLIPS, band_freedom};
 use crate::ident::slip_search::problem::BehindStem;
-use crate::sim::actuator::{lag_path, play_step, rate_step, stop_step};
+use crate::sim::actuator::lag_path;
 use crate::sim::slips::Stem;
 use crate::sim::steps::{Path, Step, Steps};
 
@@ -20,6 +20,8 @@ const PATHS: usize = 4;
 pub(crate) struct ValveSignal {
     /// The steps, and the cells of the bands that give the same.
     pub steps: Steps,
+    /// Level and direction before the first step.
+    start: [f64; 2],
     mean: Vec<f64>,
     paths: Vec<(u64, Arc<Path>)>,
     behind: Behind,
@@ -58,23 +60,25 @@ impl ValveSignal {
         if !plan.is_linear_in_fd() {
             theta.fd = fd;
         }
-        self.behind.shape(plan, &mut self.steps, start, fd, &mut freedom, [n, n]);
+        self.start = self.behind.shape(plan, &mut self.steps, start, fd, &mut freedom, [n, n]);
         Some(freedom)
+    }
+
+    /// Level and direction at every one of `points` points.
+    pub(crate) fn sample(&self, points: usize, samples: &mut [Vec<f64>; 2]) {
+        self.steps.sample(self.start, points, samples);
     }
 
     /// OP on its way to the stem.
     fn path(&mut self, problem: &Problem, plan: &Plan) -> Arc<Path> {
-        if plan.positioner <= 0.0 {
-            return Arc::clone(&problem.path);
+        if plan.around.pilot <= 0.0 {
+            return Arc::clone(&problem.normalised.path);
         }
-        let key = plan.positioner.to_bits();
+        let key = plan.around.pilot.to_bits();
         if let Some(at) = self.paths.iter().position(|(k, _)| *k == key) {
             return Arc::clone(&self.paths[at].1);
         }
-        let q = &problem.normalised;
-        let mut values = Vec::new();
-        let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut values);
-        let made = Arc::new(Path::new(values, per_point));
+        let made = Arc::new(lag_path(&problem.normalised.path, plan.around.pilot));
         if self.paths.len() == PATHS {
             self.paths.remove(0);
         }
@@ -104,7 +108,7 @@ struct Behind {
 
 impl Behind {
     /// Turns the steps of a stem that begins at `start` into those of the signal that the process gets, with this fd where
-    /// the signal is not linear in it; `points` of the `whole` record are wanted.
+    /// the signal is not linear in it, and answers where that begins; `points` of the `whole` record are wanted.
     fn shape(
         &mut self,
         plan: &Plan,
@@ -113,10 +117,10 @@ impl Behind {
         fd: f64,
         freedom: &mut Freedom,
         [points, whole]: [usize; 2],
-    ) {
+    ) -> [f64; 2] {
         let mut start = start;
         // Side by side, two lags leave fd open: it is found with their gains.
-        if !plan.is_linear_in_fd() && (!plan.zero || plan.follows() || plan.bend != 0.0) {
+        if !plan.is_linear_in_fd() && (!plan.zero || plan.around.shapes_flow()) {
             start = [self.follow(plan, steps, start, fd, points), 0.0];
             freedom.fd = [0.0; 2];
             freedom.fd_default = 0.0;
@@ -125,8 +129,9 @@ impl Behind {
             self.switch(steps, time, more, points);
         }
         if let Some(drift) = plan.drift {
-            self.drift(drift, steps, start, [points, whole]);
+            start = self.drift(drift, steps, start, [points, whole]);
         }
+        start
     }
 
     /// Rate limit, stops, play and characteristic behind a stem that starts at `start`, in this order; the signal at the
@@ -139,25 +144,19 @@ impl Behind {
         // Where the stem stands at the first point, there is what follows it.
         let first = list.partition_point(|s| s.point == 0);
         stem += list[..first].iter().map(|s| s.level - fd * s.direction).sum::<f64>();
-        let (mut slow, mut far) = (stem, stem);
-        let flow = |slow: f64, far: &mut f64| {
-            let open = stop_step(slow, plan.stops);
-            *far = if plan.play > 0.0 { play_step(*far, open, plan.play) } else { open };
-            plan.bent(*far)
-        };
-        let at_first = flow(slow, &mut far);
+        let mut memory = [stem; 2];
+        let at_first = plan.around.flow(stem, &mut memory);
         let mut last = at_first;
         for (m, step) in list.iter().enumerate().skip(first) {
             stem += step.level - fd * step.direction;
             let until = list.get(m + 1).map_or(n, |s| s.point as usize);
             for k in step.point as usize..until {
-                slow = if plan.rate < f64::INFINITY { rate_step(slow, stem, plan.rate) } else { stem };
-                let now = flow(slow, &mut far);
+                let now = plan.around.flow(stem, &mut memory);
                 if now != last {
                     out.push(Step { point: k as u32, level: now - last, direction: 0.0 });
                     last = now;
                 }
-                if slow == stem {
+                if memory[0] == stem {
                     break;
                 }
             }
@@ -210,22 +209,17 @@ impl Behind {
         self.work = list;
     }
 
-    /// A gain that drifts: the signal times its course.
-    fn drift(&mut self, drift: Drift, steps: &mut Steps, start: [f64; 2], [points, whole]: [usize; 2]) {
+    /// A gain that drifts: the signal times its course. Answers where it begins.
+    fn drift(&mut self, drift: Drift, steps: &mut Steps, start: [f64; 2], [points, whole]: [usize; 2]) -> [f64; 2] {
+        steps.sample(start, points, &mut self.samples);
         let [level, direction] = &mut self.samples;
-        let mut now = start;
-        let mut list = steps.list.iter().peekable();
-        level.clear();
-        direction.clear();
-        for (k, x) in drift.course(whole).take(points).enumerate() {
-            while let Some(step) = list.next_if(|s| s.point as usize == k) {
-                now = [now[0] + step.level, now[1] + step.direction];
-            }
+        for ((level, direction), x) in level.iter_mut().zip(&mut *direction).zip(drift.course(whole)) {
             let gain = 1.0 + drift.change * x;
-            level.push(gain * now[0]);
-            direction.push(gain * now[1]);
+            *level *= gain;
+            *direction *= gain;
         }
         steps.of_signal(level, direction);
+        [level, direction].map(|signal| signal.first().copied().unwrap_or(0.0))
     }
 }
 
@@ -248,8 +242,64 @@ impl BehindStem for HeldPlan {
 
 /// Point at which a change of dead time happens, and by how much later the signal comes from then on, whole points and
 /// the rest.
-pub(crate) fn switch_of(time: f64, more: f64, n: usize) -> (i64, i64, f64) {
+fn switch_of(time: f64, more: f64, n: usize) -> (i64, i64, f64) {
     let at = time.clamp(0.0, n.saturating_sub(1) as f64) as i64;
     let whole = more.floor();
     (at, whole as i64, more - whole)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::candidate::MAX_PARAMS;
+    use crate::gap::plain::tests::made_by;
+    use crate::gap::structure::Structure;
+    use crate::sim::actuator::Around;
+    use crate::sim::slips::Law;
+
+    /// The valve signal of a plan whose kinetic band is `fd`, sample by sample.
+    fn samples(problem: &Problem, plan: &Plan, theta: &Parameters, fd: f64) -> Vec<f64> {
+        let mut signal = ValveSignal::default();
+        signal.make(problem, plan, &mut theta.clone(), 1.0).unwrap();
+        let mut samples = [Vec::new(), Vec::new()];
+        signal.sample(problem.n(), &mut samples);
+        let [level, direction] = samples;
+        level.iter().zip(&direction).map(|(level, direction)| level - fd * direction).collect()
+    }
+
+    #[test]
+    fn what_stands_behind_the_stem_acts_on_every_sample_in_its_order() {
+        let base = Plan::base(Some(Law::He));
+        let (problem, theta) = made_by(&Structure::base(base.law), [0.0; MAX_PARAMS]);
+        let n = problem.n();
+        let stem = samples(&problem, &base, &theta, theta.fd);
+        let around = [
+            Around::NONE,
+            Around { rate: 0.02, ..Around::NONE },
+            Around { stops: [-0.3, 0.25], play: 0.08, ..Around::NONE },
+            Around { rate: 0.05, bend: 0.7, ..Around::NONE },
+        ];
+        let drift = Drift { change: 0.6, by_factor: true };
+        let late = [None, Some([300.0, 4.3]), Some([222.0, -2.6])];
+        for (around, switch) in around.into_iter().flat_map(|around| late.map(|late| (around, late))) {
+            for drift in [None, Some(drift)] {
+                let mut memory = [stem[0]; 2];
+                let flow: Vec<f64> = stem.iter().map(|v| around.flow(*v, &mut memory)).collect();
+                let later = |k: usize| {
+                    let [at, more] = switch.unwrap_or([n as f64, 0.0]);
+                    let back = if k as f64 >= at { more } else { 0.0 };
+                    let value = |back: f64| flow[(k as f64 - back).clamp(0.0, n as f64 - 1.0) as usize];
+                    let part = back - back.floor();
+                    (1.0 - part) * value(back.floor()) + part * value(back.floor() + 1.0)
+                };
+                let gain = |k: usize| drift.map_or(1.0, |d: Drift| 1.0 + d.change * d.course(n).nth(k).unwrap());
+                let plan = Plan { around, switch, drift, ..base };
+                let fd = if plan.is_linear_in_fd() { theta.fd } else { 0.0 };
+                let made = samples(&problem, &plan, &theta, fd);
+                let farthest = |k: &usize| (made[*k] - gain(*k) * later(*k)).abs();
+                let worst = (0..n).max_by(|a, b| farthest(a).total_cmp(&farthest(b))).unwrap();
+                assert!(farthest(&worst) < 1e-9, "{plan:?} at {worst}: {}", farthest(&worst));
+            }
+        }
+    }
 }

@@ -10,7 +10,7 @@ use super::model::Model;
 use super::normalised::{NormalisedRecord, Start, normalise};
 use crate::record::Record;
 use crate::signal::stats;
-use crate::sim::slips::{Law, Sequence};
+use crate::sim::slips::Law;
 
 /// Most first slips that are tried in either direction.
 const STARTS: usize = 256;
@@ -91,13 +91,8 @@ impl Run<'_> {
             vec![self.normalised.mean.clone()]
         } else {
             let starts = self.starts(fs);
-            let mut sequence = Sequence::default();
-            let stem = |start| {
-                let normalised = self.normalised;
-                let first = normalised.first_slip(start);
-                sequence.run(law, &normalised.path, normalised.per_point, fs + fd, fs - fd, first);
-                sequence.at.iter().zip(&sequence.direction).map(|(at, direction)| at - fd * direction).collect()
-            };
+            let normalised = self.normalised;
+            let stem = |start| normalised.path.stem(law, [fs + fd, fs - fd], fd, normalised.first_slip(start)).0;
             starts.into_iter().map(stem).collect()
         };
         let found = stems.iter().map(|stem| self.levelled(stem, &self.class.respond(&self.shape, stem)));

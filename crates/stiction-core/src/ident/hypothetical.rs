@@ -18,7 +18,7 @@ use super::slip_search::part::frictionless;
 use super::slip_search::problem::Problem;
 use crate::record::Record;
 use crate::signal::stats;
-use crate::sim::slips::{Law, Sequence};
+use crate::sim::slips::Law;
 
 /// A record and its process, with any valve in front of it.
 #[derive(Debug)]
@@ -78,14 +78,11 @@ impl<'a> Hypothetical<'a> {
         let (s, j) = (s / self.span, j / self.span);
         let normalised = &self.normalised;
         let start = Problem::new(normalised, self.sign).starts(0.5 * (s + j), &[0.0]).first().copied()?;
-        let mut sequence = Sequence::default();
-        sequence.run(Law::He, &normalised.path, normalised.per_point, s, j, normalised.first_slip(start));
-        if sequence.slips < MIN_SLIPS {
+        let (mut moved, steps) = normalised.path.stem(Law::He, [s, j], 0.5 * (s - j), normalised.first_slip(start));
+        if steps.slips < MIN_SLIPS {
             return None;
         }
-        let fd = 0.5 * (s - j);
-        let stem = sequence.at.iter().zip(&sequence.direction).map(|(at, direction)| at - fd * direction);
-        let mut moved: Vec<f64> = stem.zip(&normalised.mean).map(|(stem, op)| stem - op).collect();
+        moved.iter_mut().zip(&normalised.mean).for_each(|(stem, op)| *stem -= op);
         if self.class.integrates() {
             // The controller would have held the level: no offset for good.
             let offset = stats::mean(&moved);
@@ -98,7 +95,7 @@ impl<'a> Hypothetical<'a> {
         Some(HypotheticalValve {
             pv: self.record.pv.iter().zip(&answer).map(|(pv, a)| pv + self.deviation * a).collect(),
             s_over_span: s,
-            reversals: sequence.reversals,
+            reversals: steps.reversals,
             bands: [s, j],
             start,
             normalised: NormalisedRecord { pv, ..normalised.clone() },
@@ -110,7 +107,7 @@ impl<'a> Hypothetical<'a> {
     pub(crate) fn index(&self, of: &HypotheticalValve) -> f64 {
         let mut problem = Problem::new(&of.normalised, self.sign);
         // A small band slips more often than a search would try.
-        problem.moves = [MIN_SLIPS, of.normalised.path.len()];
+        problem.moves = [MIN_SLIPS, of.normalised.path.values().len()];
         let index = on_whole_record(&problem, Law::He, self.class, |evaluator, view| {
             let without = frictionless(evaluator, view, self.class)?;
             let with = evaluator.met(view, of.bands, of.start, &self.process)?;

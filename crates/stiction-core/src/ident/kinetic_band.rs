@@ -3,7 +3,6 @@
 
 use super::class::Limits;
 use super::normalised::{MOST_OVERSHOOT, SlipEnd};
-use crate::sim::slips::Sequence;
 
 /// What a fit may do.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,12 +19,6 @@ pub struct Freedom {
 
 /// Fewest moves of the stem from which a model is fitted.
 pub(crate) const MIN_SLIPS: usize = 3;
-
-/// The bands fd that the slips of `sequence` leave open to (s, j).
-#[must_use]
-pub(crate) fn freedom(sequence: &Sequence, bands: [f64; 2], sign: f64, limits: Limits, slip_end: SlipEnd) -> Freedom {
-    band_freedom([sequence.s_cell, sequence.j_cell], bands, sign, limits, slip_end)
-}
 
 /// The bands fd that slips with these cells of s and j leave open to (s, j).
 #[must_use]
@@ -133,17 +126,19 @@ mod tests {
     use super::*;
     use crate::signal::stats::dot;
     use crate::sim::slips::{FirstSlip, Law};
+    use crate::sim::steps::Path;
 
     #[test]
     fn slips_beyond_op_leave_a_band_below_zero_open() {
         let path: Vec<f64> = (0..600).map(|k| libm::sin(f64::from(k) * 0.05)).collect();
-        let mut sequence = Sequence::default();
         let (s, j) = (0.3, 0.7);
-        sequence.run(Law::He, &path, 1, s, j, FirstSlip { direction: 1.0, threshold: 0.2 });
+        let first = FirstSlip { direction: 1.0, threshold: 0.2 };
+        let (_, steps) = Path::new(path, 1).stem(Law::He, [s, j], 0.0, first);
+        let cells = [steps.s_cell, steps.j_cell];
         let limits = Limits { tau: [0.3, 500.0], lag: [0.0, 25.0] };
-        let open = freedom(&sequence, [s, j], 1.0, limits, SlipEnd::Beyond);
+        let open = band_freedom(cells, [s, j], 1.0, limits, SlipEnd::Beyond);
         assert!(open.fd[0] < -0.2 && open.fd[0] <= open.fd_default && open.fd_default <= open.fd[1], "{open:?}");
-        let short = freedom(&sequence, [s, 0.1], 1.0, limits, SlipEnd::Short);
+        let short = band_freedom(cells, [s, 0.1], 1.0, limits, SlipEnd::Short);
         assert!(short.fd[0] >= 0.0);
     }
 

@@ -1,20 +1,20 @@
 //! A record in the form that every fit works on: OP in spans, PV in standard deviations, times in points.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use super::choice::{DelayChoice, Options};
 use super::class::Limits;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{FirstSlip, Stroke};
+use crate::sim::steps::Path;
 
 /// A record in normalised form: OP in spans, PV in standard deviations.
 #[derive(Debug, Clone)]
 pub struct NormalisedRecord {
-    /// OP on its way, `n * per_point` values, centred, in units of its robust span.
-    pub path: Vec<f64>,
-    /// OP values a point.
-    pub per_point: usize,
+    /// OP on its way, centred, in units of its robust span.
+    pub path: Arc<Path>,
     /// OP averaged over each point.
     pub mean: Vec<f64>,
     /// PV less its mean, over its standard deviation.
@@ -86,10 +86,11 @@ impl NormalisedRecord {
     /// Some of its points, as a record of their own.
     #[must_use]
     pub(crate) fn cut(&self, points: Range<usize>) -> Self {
-        let path = self.path[points.start * self.per_point..points.end * self.per_point].to_vec();
+        let m = self.path.per_point();
+        let path = self.path.values()[points.start * m..points.end * m].to_vec();
         Self {
             extremes: Self::running_extremes(&path),
-            path,
+            path: Arc::new(Path::new(path, m)),
             mean: self.mean[points.clone()].to_vec(),
             pv: self.pv[points].to_vec(),
             ..*self
@@ -112,7 +113,7 @@ impl NormalisedRecord {
     #[must_use]
     pub(crate) fn moved_start(&self, start: Start, later: f64) -> Start {
         let last = self.extremes[usize::from(!start.up)].len().saturating_sub(1);
-        let by = (later * self.per_point as f64).round();
+        let by = (later * self.path.per_point() as f64).round();
         let extreme = (start.extreme as f64 + by).clamp(0.0, last as f64) as usize;
         Start { extreme, ..start }
     }
@@ -165,8 +166,7 @@ pub(crate) fn normalise(record: &Record, options: &Options, span: f64, deviation
     let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
     let rate = stats::median(&travel);
     NormalisedRecord {
-        path,
-        per_point: m,
+        path: Arc::new(Path::new(path, m)),
         mean,
         pv,
         limits,

@@ -1,5 +1,7 @@
 //! Parts between OP and flow other than friction: backlash, stops, limited speed, as functions of one step; and an input lag.
 
+use super::steps::Path;
+
 /// Fewest values per point with a lag.
 const PARTS: usize = 5;
 
@@ -39,6 +41,12 @@ impl Around {
         (core::array::from_fn(|i| after(i as f64 + 0.5)), after(PARTS as f64))
     }
 
+    /// Whether something behind the stem changes its signal.
+    #[must_use]
+    pub(crate) fn shapes_flow(&self) -> bool {
+        Self { pilot: 0.0, ..*self } != Self::NONE
+    }
+
     /// The flow for a stem at `position`, with the state of the parts behind it.
     #[must_use]
     pub(crate) fn flow(&self, position: f64, [slow, far]: &mut [f64; 2]) -> f64 {
@@ -63,45 +71,47 @@ impl Default for Around {
 
 /// A characteristic at `v` whose slope is 1 at 0 and grows by the share `bend` per unit.
 #[must_use]
-pub(crate) fn bent(v: f64, bend: f64) -> f64 {
+fn bent(v: f64, bend: f64) -> f64 {
     if bend == 0.0 { v } else { libm::expm1(bend * v) / bend }
 }
 
 /// Backlash of `width` behind the stem: the output rests until the stem has crossed it.
 #[must_use]
-pub(crate) fn play_step(far: f64, stem: f64, width: f64) -> f64 {
+fn play_step(far: f64, stem: f64, width: f64) -> f64 {
     far.clamp(stem - 0.5 * width, stem + 0.5 * width)
 }
 
 /// A stem that follows `wanted` by at most `rate` per step.
 #[must_use]
-pub(crate) fn rate_step(stem: f64, wanted: f64, rate: f64) -> f64 {
+fn rate_step(stem: f64, wanted: f64, rate: f64) -> f64 {
     stem + (wanted - stem).clamp(-rate, rate)
 }
 
 /// A stem between a lower and an upper stop, `stops[0] <= stops[1]`.
 #[must_use]
-pub(crate) fn stop_step(stem: f64, stops: [f64; 2]) -> f64 {
+fn stop_step(stem: f64, stops: [f64; 2]) -> f64 {
     stem.clamp(stops[0], stops[1])
 }
 
-/// `op` (`per_point` raw values per point) after a lag of `tau` points, into `path`; returns the number of values per point.
+/// OP after a lag of `tau` points.
 ///
 /// The lag advances between two raw samples while OP is held, so a slip may occur anywhere between them: each part has the
 /// exact value at its middle.
-pub(crate) fn lag_path(op: &[f64], per_point: usize, tau: f64, path: &mut Vec<f64>) -> usize {
+#[must_use]
+pub(crate) fn lag_path(op: &Path, tau: f64) -> Path {
+    let per_point = op.per_point();
     let parts = PARTS.div_ceil(per_point);
     let step = 1.0 / (tau * (per_point * parts) as f64).max(1e-3);
     let (whole, half) = (libm::exp(-step), libm::exp(-0.5 * step));
-    let mut drive = op.first().copied().unwrap_or(0.0);
-    path.clear();
-    for op in op {
+    let mut drive = op.values().first().copied().unwrap_or(0.0);
+    let mut values = Vec::with_capacity(op.values().len() * parts);
+    for op in op.values() {
         for _ in 0..parts {
-            path.push(op + (drive - op) * half);
+            values.push(op + (drive - op) * half);
             drive = op + (drive - op) * whole;
         }
     }
-    per_point * parts
+    Path::new(values, per_point * parts)
 }
 
 #[cfg(test)]
@@ -111,10 +121,10 @@ mod tests {
     #[test]
     fn a_lag_moves_on_between_two_samples() {
         let op: Vec<f64> = (0..40).map(|k| libm::sin(f64::from(k) * 0.4)).collect();
-        let mut path = Vec::new();
-        assert_eq!(lag_path(&op, 1, 2.5, &mut path), PARTS);
+        let path = lag_path(&Path::new(op.clone(), 1), 2.5);
+        assert_eq!(path.per_point(), PARTS);
         let mut drive = op[0];
-        for (op, parts) in op.iter().zip(path.chunks_exact(PARTS)) {
+        for (op, parts) in op.iter().zip(path.values().chunks_exact(PARTS)) {
             for (i, x) in parts.iter().enumerate() {
                 let time = (i as f64 + 0.5) / PARTS as f64;
                 assert!((x - (op + (drive - op) * libm::exp(-time / 2.5))).abs() < 1e-12);
@@ -122,7 +132,8 @@ mod tests {
             drive = op + (drive - op) * libm::exp(-1.0 / 2.5);
         }
         // A point that already has many values gets no more.
-        assert_eq!((lag_path(&op, 8, 2.5, &mut path), path.len()), (8, op.len()));
+        let fine = lag_path(&Path::new(op.clone(), 8), 2.5);
+        assert_eq!((fine.per_point(), fine.values().len()), (8, op.len()));
     }
 
     #[test]
@@ -143,10 +154,9 @@ mod tests {
     #[test]
     fn a_drive_is_the_lagged_path_value_by_value() {
         let op: Vec<f64> = (0..30).map(|k| libm::sin(f64::from(k) * 0.3)).collect();
-        let mut path = Vec::new();
-        lag_path(&op, 1, 4.0, &mut path);
+        let path = lag_path(&Path::new(op.clone(), 1), 4.0);
         let (around, mut drive) = (Around { pilot: 4.0, ..Around::NONE }, op[0]);
-        for (op, path) in op.iter().zip(path.chunks_exact(PARTS)) {
+        for (op, path) in op.iter().zip(path.values().chunks_exact(PARTS)) {
             let (drives, next) = around.drives(drive, *op);
             assert!(drives.iter().zip(path).all(|(a, b)| (a - b).abs() < 1e-12));
             drive = next;

@@ -486,8 +486,7 @@ mod tests {
             let (fs, fd) = (3.0, 1.2);
             let valve = ValveModel { law, fs, fd, stroke, ..ValveModel::HEALTHY };
             let first = slips::FirstSlip { direction: 1.0, threshold: op[0] + fs * (1.0 + stroke.uneven) };
-            let mut whole = slips::Sequence::default();
-            whole.run_in(stroke, same, &op, 1, [fs + fd, fs - fd], first);
+            let whole = slips::by_sample::Sequence::of(stroke, same, &op, 1, [fs + fd, fs - fd], first);
             let mut stem = Stem::at_rest(op[0]);
             for (k, op) in op.iter().enumerate() {
                 stem = valve.step(stem, *op);

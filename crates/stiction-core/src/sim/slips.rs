@@ -5,9 +5,6 @@
 //! position linearly, and all (s, j) of a rectangle give the same sequence. Sample for sample identical to
 //! [`super::valve::he_step`] and [`super::valve::tracking_step`].
 
-/// OP values for which it is tested at once whether the stem rests.
-const AT_ONCE: usize = 16;
-
 /// Valve model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -38,23 +35,6 @@ pub struct FirstSlip {
     pub direction: f64,
     /// OP value that must be passed.
     pub threshold: f64,
-}
-
-/// The slips of (s, j) on an OP path of `n` points.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Sequence {
-    /// OP value at the last slip, averaged over each point.
-    pub at: Vec<f64>,
-    /// Direction of the last slip, averaged over each point, -1..1.
-    pub direction: Vec<f64>,
-    /// All s from the first to below the second give this sequence.
-    pub s_cell: [f64; 2],
-    /// All j from the first to below the second give this sequence.
-    pub j_cell: [f64; 2],
-    /// Movements of the stem.
-    pub slips: usize,
-    /// Movements opposite to the previous one.
-    pub reversals: usize,
 }
 
 /// Additional properties of a valve.
@@ -263,14 +243,8 @@ impl Stem {
         }
     }
 
-    /// Takes these OP values in one where the stem rests through all of them, as [`Stem::take`] would one by one; false,
-    /// and nothing taken, where it may not.
-    #[inline]
-    fn rest(&mut self, ops: &[f64], s: f64, j: f64) -> bool {
-        self.rests_between(extremes(ops), [s, j])
-    }
-
-    /// As above for values of which only the least and the greatest are told.
+    /// Takes OP values of which only the least and the greatest are told in one where the stem rests through all of them, as
+    /// [`Stem::take`] would one by one; false, and nothing taken, where it may not.
     #[inline]
     pub(crate) fn rests_between(&mut self, [low, high]: [f64; 2], [s, j]: [f64; 2]) -> bool {
         if self.moving {
@@ -344,87 +318,7 @@ impl Stem {
     }
 }
 
-/// Least and greatest of these values, four at a time.
-#[inline]
-fn extremes(x: &[f64]) -> [f64; 2] {
-    let less = |a: f64, b: f64| if a < b { a } else { b };
-    let more = |a: f64, b: f64| if a > b { a } else { b };
-    let (mut low, mut high) = ([f64::INFINITY; 4], [f64::NEG_INFINITY; 4]);
-    let (fours, rest) = x.as_chunks::<4>();
-    for four in fours {
-        for i in 0..4 {
-            low[i] = less(four[i], low[i]);
-            high[i] = more(four[i], high[i]);
-        }
-    }
-    let mut ends = [low[0], high[0]];
-    for lane in [&low[1..], &high[1..], rest] {
-        for x in lane {
-            ends = [less(*x, ends[0]), more(*x, ends[1])];
-        }
-    }
-    ends
-}
-
-/// Means of the `m` values of a point.
-#[inline]
-fn averaged(m: usize, mut value: impl FnMut(usize) -> (f64, f64)) -> (f64, f64) {
-    if m == 1 {
-        return value(0);
-    }
-    let (mut sum_at, mut sum_direction) = (0.0, 0.0);
-    for i in 0..m {
-        let (at, direction) = value(i);
-        sum_at += at;
-        sum_direction += direction;
-    }
-    let share = 1.0 / m as f64;
-    (sum_at * share, sum_direction * share)
-}
-
-impl Sequence {
-    /// Runs a law over `path` (`n * per_point` OP values) and keeps the slips.
-    pub fn run(&mut self, law: Law, path: &[f64], per_point: usize, s: f64, j: f64, first: FirstSlip) {
-        self.run_in(Stroke::FREE, law, path, per_point, [s, j], first);
-    }
-
-    /// As [`Sequence::run`] for bands `[s, j]` and a stroke. The stem stands at `at - fd (direction + uneven)`.
-    pub(crate) fn run_in(
-        &mut self,
-        stroke: Stroke,
-        law: Law,
-        path: &[f64],
-        per_point: usize,
-        [s, j]: [f64; 2],
-        first: FirstSlip,
-    ) {
-        let uneven = Uneven { uneven: stroke.uneven, j };
-        let mut stem = Stem::new(first, s, uneven, stroke, per_point.max(1));
-        let m = per_point.max(1);
-        let n = path.len() / m;
-        self.at.resize(n, 0.0);
-        self.direction.resize(n, 0.0);
-        // The stem rests most of the time: then many points are taken in one.
-        let some = AT_ONCE.div_ceil(m);
-        let groups = self.at.chunks_mut(some).zip(self.direction.chunks_mut(some));
-        for ((at, direction), ops) in groups.zip(path[..n * m].chunks(some * m)) {
-            if stem.rest(ops, s, j) {
-                let (mean, way) = averaged(m, |_| (stem.at, stem.direction));
-                at.fill(mean);
-                direction.fill(way);
-                continue;
-            }
-            for ((at, direction), point) in at.iter_mut().zip(direction).zip(ops.chunks_exact(m)) {
-                (*at, *direction) = averaged(m, |i| {
-                    stem.take(law, point[i], s, j, uneven);
-                    (stem.at - stem.behind, stem.direction)
-                });
-            }
-        }
-        (self.s_cell, self.j_cell) = (stem.s_cell, stem.j_cell);
-        (self.slips, self.reversals) = (stem.slips, stem.reversals);
-    }
-}
-
+#[cfg(test)]
+pub(crate) mod by_sample;
 #[cfg(test)]
 mod tests;

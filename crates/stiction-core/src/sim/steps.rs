@@ -2,7 +2,7 @@
 //!
 //! Between two slips the stem rests, so its signal is a staircase: some hundred steps represent thousands of samples, and
 //! [`crate::ident`] computes a free run from them in time proportional to their number. A sliding stem makes a step at every
-//! sample on which it moves. The signal equals that of [`super::slips::Sequence`], which has every sample.
+//! sample on which it moves.
 
 use super::slips::{FirstSlip, Law, Stem, Stroke};
 
@@ -49,6 +49,18 @@ impl Path {
     #[must_use]
     pub const fn points(&self) -> usize {
         self.values.len() / self.per_point
+    }
+
+    /// The stem of a valve with bands `[s, j]` and kinetic band `fd`, averaged over each point, and its steps.
+    #[must_use]
+    pub fn stem(&self, law: Law, [s, j]: [f64; 2], fd: f64, first: FirstSlip) -> (Vec<f64>, Steps) {
+        let mut steps = Steps::default();
+        steps.run(self, self.points(), Stroke::FREE, law, [s, j], first);
+        let (level, direction) = Stem::before(first, [s, j], Stroke::FREE, self.per_point).signal();
+        let mut samples = [Vec::new(), Vec::new()];
+        steps.sample([level, direction], self.points(), &mut samples);
+        let [level, direction] = samples;
+        (level.iter().zip(&direction).map(|(level, direction)| level - fd * direction).collect(), steps)
     }
 }
 
@@ -180,6 +192,25 @@ impl Steps {
         (self.s_cell, self.j_cell, self.slips, self.reversals) = (s_cell, j_cell, slips, reversals);
     }
 
+    /// Level and direction at every one of `points` points, from those before the first step.
+    pub(crate) fn sample(
+        &self,
+        [mut level, mut direction]: [f64; 2],
+        points: usize,
+        [levels, directions]: &mut [Vec<f64>; 2],
+    ) {
+        levels.clear();
+        directions.clear();
+        for step in self.list.iter().filter(|step| (step.point as usize) < points) {
+            levels.resize(step.point as usize, level);
+            directions.resize(step.point as usize, direction);
+            level += step.level;
+            direction += step.direction;
+        }
+        levels.resize(points, level);
+        directions.resize(points, direction);
+    }
+
     /// The steps of a signal that is given point by point, `direction` of the same length or empty; cells and counts are
     /// left as they are.
     pub(crate) fn of_signal(&mut self, level: &[f64], direction: &[f64]) {
@@ -264,7 +295,7 @@ impl Collector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sim::slips::Sequence;
+    use crate::sim::slips::by_sample::Sequence;
 
     fn path(seed: u64, n: usize) -> Vec<f64> {
         let (mut state, mut slow) = (seed, 0.0);
@@ -273,20 +304,6 @@ mod tests {
                 state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
                 slow += ((state >> 40) as f64 / f64::from(1 << 24) - 0.5) * 0.5;
                 slow + 6.0 * libm::sin(k as f64 * 0.05)
-            })
-            .collect()
-    }
-
-    /// The signal, sample by sample, from the level and direction before the first step.
-    fn signal(steps: &Steps, n: usize, mut level: f64, mut direction: f64) -> Vec<[f64; 2]> {
-        let mut list = steps.list.iter().peekable();
-        (0..n)
-            .map(|k| {
-                while let Some(step) = list.next_if(|s| s.point as usize == k) {
-                    level += step.level;
-                    direction += step.direction;
-                }
-                [level, direction]
             })
             .collect()
     }
@@ -305,14 +322,15 @@ mod tests {
             for (m, [s, j]) in [(1, [4.0, 2.0]), (1, [0.3, 0.1]), (4, [5.0, 5.0]), (5, [2.0, 0.4])] {
                 let op = path(7 + m as u64, 2003 / m * m);
                 let first = FirstSlip { direction: -1.0, threshold: op[0] - 0.6 };
-                let mut sequence = Sequence::default();
-                sequence.run_in(stroke, law, &op, m, [s, j], first);
+                let sequence = Sequence::of(stroke, law, &op, m, [s, j], first);
                 let mut steps = Steps::default();
                 let n = op.len() / m;
                 let path = Path::new(op, m);
                 steps.run(&path, n, stroke, law, [s, j], first);
                 let stem = Stem::before(first, [s, j], stroke, m).signal();
-                for (k, [level, direction]) in signal(&steps, n, stem.0, stem.1).into_iter().enumerate() {
+                let mut samples = [Vec::new(), Vec::new()];
+                steps.sample([stem.0, stem.1], n, &mut samples);
+                for (k, (level, direction)) in samples[0].iter().zip(&samples[1]).enumerate() {
                     assert!(
                         (level - sequence.at[k]).abs() < 1e-9 && (direction - sequence.direction[k]).abs() < 1e-9,
                         "{law:?} {stroke:?} {m} at {k}: {level} {}",

@@ -15,7 +15,7 @@ pub(crate) const EFFECT: Effect = Effect {
         Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
     ],
     apply: |p, plan| {
-        let ends = if p[2] > 0.5 { &mut plan.stroke.ends } else { &mut plan.stops };
+        let ends = if p[2] > 0.5 { &mut plan.stroke.ends } else { &mut plan.around.stops };
         ends[usize::from(p[1] > 0.5)] = p[0];
     },
     starts,
@@ -75,9 +75,9 @@ mod tests {
     fn either_end_can_be_the_stop_of_stem_or_flow_and_far_away_it_is_none() {
         let mut plan = Plan::base(Some(Law::He));
         (EFFECT.apply)(&[0.3, 1.0, 0.0], &mut plan);
-        assert_eq!(plan.stops, [f64::NEG_INFINITY, 0.3]);
+        assert_eq!(plan.around.stops, [f64::NEG_INFINITY, 0.3]);
         (EFFECT.apply)(&[-0.3, 0.0, 0.0], &mut plan);
-        assert_eq!(plan.stops, [-0.3, 0.3]);
+        assert_eq!(plan.around.stops, [-0.3, 0.3]);
         let mut plan = Plan::base(Some(Law::He));
         (EFFECT.apply)(&[0.3, 1.0, 1.0], &mut plan);
         assert!(plan.stroke.ends == [f64::NEG_INFINITY, 0.3] && plan.is_linear_in_fd());

@@ -20,7 +20,7 @@ pub(crate) fn made_by(structure: &Structure, p: [f64; MAX_PARAMS]) -> (Problem, 
         (0..700).map(|k| 50.0 + 5.0 * libm::sin(f64::from(k) * 0.09) + 2.0 * libm::sin(f64::from(k) * 0.031)).collect();
     let pv: Vec<f64> = (0..700).map(|_| noise.gaussian()).collect();
     let problem = Problem::new(&Record::uniform(1.0, op.clone(), pv), None, 1, vec![false; 700]);
-    let first = FirstSlip { direction: 1.0, threshold: problem.normalised.path[0] + 0.05 };
+    let first = FirstSlip { direction: 1.0, threshold: problem.normalised.path.values()[0] + 0.05 };
     let theta = Parameters { s: 0.3, j: 0.1, first, fd: 0.1, log_tau: libm::log(9.0), lag: 4.3, p };
     let linear = Linear { others: [0.0; MAX_COLUMNS], count: 2, gain: 2.0 };
     let of = Candidate { theta, sse: 0.0, cells: [[0.0; 2]; 2], slips: 9, linear };
@@ -79,7 +79,7 @@ fn loads_say_their_own_size_beside_any_other_part() {
     let n = problem.n();
     let size_of = |ids: [&str; 2], p: [f64; MAX_PARAMS], load: &dyn Fn(usize) -> f64, name: &str| {
         let (normalised, deviation) = (&problem.normalised, problem.deviation);
-        let op = normalised.path.iter().map(|u| u * problem.span + problem.op_middle).collect();
+        let op = normalised.path.values().iter().map(|u| u * problem.span + problem.op_middle).collect();
         let pv = normalised.pv.iter().enumerate().map(|(k, y)| (y + load(k)) * deviation).collect();
         let loaded = Problem::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; n]);
         let structure = Structure { law: Some(Law::He), effects: ids.map(effects::by_id) };

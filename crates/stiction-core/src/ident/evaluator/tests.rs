@@ -6,7 +6,8 @@ use super::*;
 use crate::ident::class::{Class, Limits, Shape};
 use crate::ident::kinetic_band::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
-use crate::sim::slips::{FirstSlip, Law, Sequence, Stroke};
+use crate::sim::slips::by_sample::Sequence;
+use crate::sim::slips::{FirstSlip, Law, Stroke};
 use crate::sim::steps::{Path, Steps};
 
 const LIMITS: Limits = Limits { tau: [0.3, 5000.0], lag: [0.0, 60.0] };
@@ -82,8 +83,7 @@ proptest! {
         let op = path(seed, n * m);
         let first = FirstSlip { direction: 1.0, threshold: op[0] + 0.02 };
         let stroke = Stroke { uneven: if has_uneven { uneven } else { 0.0 }, ..Stroke::FREE };
-        let mut sequence = Sequence::default();
-        sequence.run_in(stroke, law, &op, m, [s, share * s], first);
+        let sequence = Sequence::of(stroke, law, &op, m, [s, share * s], first);
         prop_assume!(sequence.slips >= 3);
         let pv: Vec<f64> = noise(seed + 1, n).iter().zip(&sequence.at).map(|(e, v)| e + 0.7 * v).collect();
         let tau = 0.4 * libm::exp(6.0 * tau);
@@ -113,8 +113,7 @@ proptest! {
         let (n, from) = (500, 35);
         let op = path(seed, n);
         let first = FirstSlip { direction: -1.0, threshold: op[0] - 0.03 };
-        let mut sequence = Sequence::default();
-        sequence.run(Law::He, &op, 1, s, 0.4 * s, first);
+        let sequence = Sequence::of(Stroke::FREE, Law::He, &op, 1, [s, 0.4 * s], first);
         prop_assume!(sequence.slips >= 3);
         let wave: Vec<f64> = (0..n).map(|k| libm::sin(omega * k as f64)).collect();
         let pv: Vec<f64> = noise(seed + 2, n).iter().zip(&sequence.at).zip(&wave).map(|((e, v), w)| e + v + w).collect();
@@ -160,8 +159,7 @@ fn the_best_dead_time_within_a_sample_is_found() {
     let (n, from) = (800, 30);
     let op = path(5, n);
     let first = FirstSlip { direction: 1.0, threshold: op[0] + 0.02 };
-    let mut sequence = Sequence::default();
-    sequence.run(Law::He, &op, 1, 0.3, 0.1, first);
+    let sequence = Sequence::of(Stroke::FREE, Law::He, &op, 1, [0.3, 0.1], first);
     let freedom = Freedom { fd: [0.0, 0.3], fd_default: 0.1, sign: 1.0, limits: LIMITS };
     let mut steps = Steps::default();
     steps.run(&Path::new(op, 1), n, Stroke::FREE, Law::He, [0.3, 0.1], first);

@@ -22,7 +22,6 @@ use super::slip_search::part::frictionless;
 use super::slip_search::problem::{EVEN_STARTS, Problem};
 use crate::record::Record;
 use crate::signal::stats;
-use crate::sim::slips::Sequence;
 
 /// The class of an order.
 const fn class_of(order: u8, integrating: bool) -> Class {
@@ -141,16 +140,14 @@ impl<'a> FitPlots<'a> {
     #[must_use]
     pub fn free_run(&self) -> FreeRun {
         let c = &self.candidate;
-        let mut sequence = Sequence::default();
         let q = &self.normalised;
-        sequence.run(c.law, &q.path, q.per_point, c.s, c.j, q.first_slip(c.start));
+        let (stem, _) = q.path.stem(c.law, [c.s, c.j], self.process.fd, q.first_slip(c.start));
         let middle = stats::mean(&self.record.op_path);
-        let stem = sequence.at.iter().zip(&sequence.direction).map(|(at, direction)| at - self.process.fd * direction);
         let residual: Vec<f64> = self.residual().iter().map(|r| r * self.deviation).collect();
         let measured = &self.record.pv[q.from.min(self.record.pv.len())..];
         FreeRun {
             from: q.from,
-            valve: stem.map(|v| middle + self.span * v).collect(),
+            valve: stem.iter().map(|v| middle + self.span * v).collect(),
             pv: measured.iter().zip(&residual).map(|(y, r)| y - r).collect(),
             residual,
         }

@@ -376,8 +376,8 @@ mod tests {
         let problem = Problem::new(&normalised, 1.0);
         let fd = 0.04;
         let mut steps = Steps::default();
-        let first = FirstSlip { direction: 1.0, threshold: normalised.path[0] + 0.05 };
-        steps.run(&problem.path, 500, Stroke::FREE, Law::He, [0.2, 0.1], first);
+        let first = FirstSlip { direction: 1.0, threshold: normalised.path.values()[0] + 0.05 };
+        steps.run(&normalised.path, 500, Stroke::FREE, Law::He, [0.2, 0.1], first);
         let freedom = Freedom { fd: [fd; 2], fd_default: fd, sign: 1.0, limits: normalised.limits };
         for rho in [0.0, 0.9] {
             let scan = CoarseScan::new(&problem, [rho; 2], 500, vec![3, 9, 20]);

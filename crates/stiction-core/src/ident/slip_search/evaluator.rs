@@ -104,7 +104,7 @@ impl<'a> Evaluator<'a> {
         self.held.clear();
         self.known.clear();
         let first = normalised.first_slip(start);
-        self.steps.run(&self.problem.path, self.points, normalised.stroke, self.law, [s, j], first);
+        self.steps.run(&normalised.path, self.points, normalised.stroke, self.law, [s, j], first);
         let [least, most] = self.problem.moves;
         let most = (most as f64 * self.points as f64 / normalised.period) as usize + 30;
         if self.steps.slips < least || self.steps.slips > most {
@@ -113,7 +113,7 @@ impl<'a> Evaluator<'a> {
         let cells = [self.steps.s_cell, self.steps.j_cell];
         let mut freedom = band_freedom(cells, [s, j], self.problem.sign, normalised.limits, normalised.slip_end);
         if let Some(behind) = self.problem.behind {
-            let before = Stem::before(first, [s, j], normalised.stroke, normalised.per_point).signal();
+            let before = Stem::before(first, [s, j], normalised.stroke, normalised.path.per_point()).signal();
             behind.shape(&mut self.steps, before.into(), &mut freedom, self.points);
         }
         Some(freedom)

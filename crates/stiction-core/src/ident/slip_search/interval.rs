@@ -87,7 +87,7 @@ pub(crate) fn spread(
     let top = looking.top;
     let (mixture, flat) = looking.mixture();
     let error = 2.0 * looking.band_error() * tests.inflation.sqrt();
-    let path = &looking.evaluator.problem.normalised.path;
+    let path = looking.evaluator.problem.normalised.path.values();
     let [s, j] = centred(&top);
     let of = |f: &dyn Fn(&Place) -> f64, value: f64| hull(mixture.interval(f), [value, value]);
     let spread = Spread {

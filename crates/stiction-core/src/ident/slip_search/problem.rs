@@ -4,7 +4,7 @@ use crate::ident::class::Class;
 use crate::ident::evaluator::{View, lattice_index};
 use crate::ident::kinetic_band::Freedom;
 use crate::ident::normalised::{NormalisedRecord, Start};
-use crate::sim::steps::{Path, Steps};
+use crate::sim::steps::Steps;
 
 /// What stands between the stem and the process of a model structure, its parameters held: a rate limit, a characteristic.
 pub(crate) trait BehindStem: core::fmt::Debug + Sync {
@@ -18,8 +18,6 @@ pub(crate) trait BehindStem: core::fmt::Debug + Sync {
 pub struct Problem<'a> {
     /// The record; its stroke and slip end are those of the valve that is looked for.
     pub normalised: &'a NormalisedRecord,
-    /// Its OP, prepared.
-    pub path: Path,
     /// Stretches of points that are fitted; all from the record's first point that counts where none are named.
     pub counted: Vec<[usize; 2]>,
     /// What stands behind the stem, where something does.
@@ -48,17 +46,16 @@ impl<'a> Problem<'a> {
     /// All of a record.
     #[must_use]
     pub(crate) fn new(normalised: &'a NormalisedRecord, sign: f64) -> Self {
-        let path = Path::new(normalised.path.clone(), normalised.per_point);
         let moves = [LEAST_MOVES, MOST_MOVES];
-        let extremes = places_of_extremes(&normalised.path);
-        Self { normalised, path, counted: Vec::new(), behind: None, loads: Vec::new(), sign, moves, extremes }
+        let extremes = places_of_extremes(normalised.path.values());
+        Self { normalised, counted: Vec::new(), behind: None, loads: Vec::new(), sign, moves, extremes }
     }
 
     /// Starts worth trying with the static band `fs`: the stem on OP's first value, and beside it by shares of the band.
     #[must_use]
     pub(crate) fn starts(&self, fs: f64, shares: &[f64]) -> Vec<Start> {
         let mut out: Vec<Start> = Vec::with_capacity(shares.len());
-        let Some(first) = self.normalised.path.first() else { return out };
+        let Some(first) = self.normalised.path.values().first() else { return out };
         for share in shares {
             out.extend(self.start_from(first + share * fs, fs).filter(|s| !out.contains(s)));
         }
@@ -84,7 +81,7 @@ impl<'a> Problem<'a> {
     #[must_use]
     pub(crate) fn starts_near(&self, point: f64, up: bool, within: usize) -> Vec<Start> {
         let places = &self.extremes[usize::from(!up)];
-        let at = (point.max(0.0) * self.normalised.per_point as f64) as u32;
+        let at = (point.max(0.0) * self.normalised.path.per_point() as f64) as u32;
         let middle = places.partition_point(|place| *place < at);
         let last = (middle + within).min(places.len().saturating_sub(1));
         (middle.saturating_sub(within)..=last).map(|extreme| Start { up, extreme, place: 0.5 }).collect()
@@ -119,9 +116,9 @@ impl<'a> Problem<'a> {
     /// First point of OP that lies so far from its first value, spans.
     #[must_use]
     pub(crate) fn first_far(&self, spans: f64) -> usize {
-        let path = &self.normalised.path;
+        let path = self.normalised.path.values();
         let far = |first: &f64| path.iter().position(|u| (u - first).abs() > spans);
-        path.first().and_then(far).unwrap_or(0) / self.normalised.per_point
+        path.first().and_then(far).unwrap_or(0) / self.normalised.path.per_point()
     }
 
     /// Greatest place of a time constant on the lattice.
@@ -166,8 +163,9 @@ mod tests {
         let problem = Problem::new(&normalised, 1.0);
         for fs in [0.02, 0.1, 0.3, 0.6] {
             let start = problem.starts(fs, &[0.0])[0];
-            let first = normalised.path[0];
-            let left = normalised.path.iter().find(|op| (*op - first).abs() > fs).unwrap();
+            let path = normalised.path.values();
+            let first = path[0];
+            let left = path.iter().find(|op| (*op - first).abs() > fs).unwrap();
             assert_eq!((normalised.extremes[usize::from(!start.up)][start.extreme], start.up), (*left, *left > first));
         }
         assert!(problem.starts(2.0, &[0.0]).is_empty());

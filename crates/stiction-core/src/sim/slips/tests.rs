@@ -1,5 +1,6 @@
 //! The slips against the laws themselves and against small steps in time.
 
+use super::by_sample::Sequence;
 use super::*;
 use crate::sim::valve::{Tracking, he_step, tracking_step};
 
@@ -24,51 +25,19 @@ fn slip_coordinates_give_the_laws_themselves() {
             // The stem starts so that an upward slip needs OP above `threshold`.
             let threshold = op[0] + 0.4 * fs;
             let first = FirstSlip { direction: 1.0, threshold };
-            let mut sequence = Sequence::default();
-            sequence.run(Law::He, &op, 1, s, j, first);
+            let sequence = Sequence::of(Stroke::FREE, Law::He, &op, 1, [s, j], first);
             let mut position = threshold - fs;
             let mut state = Tracking { position, direction: 0 };
             for (k, &u) in op.iter().enumerate() {
                 position = he_step(position, u, fs, fd);
                 assert!((sequence.at[k] - sequence.direction[k] * fd - position).abs() < 1e-9, "he at {k}");
             }
-            sequence.run(Law::Tracking, &op, 1, s, j, first);
+            let sequence = Sequence::of(Stroke::FREE, Law::Tracking, &op, 1, [s, j], first);
             for (k, &u) in op.iter().enumerate() {
                 state = tracking_step(state, u, fs, fd);
                 let stem = sequence.at[k] - sequence.direction[k] * fd;
                 assert!((stem - state.position).abs() < 1e-9, "tracking at {k} of {seed}, {fs} {fd}");
             }
-        }
-    }
-}
-
-#[test]
-fn a_rest_taken_in_one_is_the_same_to_the_bit() {
-    let strokes = [
-        Stroke::FREE,
-        Stroke { uneven: 0.3, ..Stroke::FREE },
-        Stroke { ends: [-3.0, 2.5], ..Stroke::FREE },
-        Stroke { carried: 0.4, ..Stroke::FREE },
-        Stroke { rate: 0.05, ..Stroke::FREE },
-        Stroke { drag: 4.0, slowest: 0.01, ..Stroke::FREE },
-    ];
-    for (stroke, law) in strokes.into_iter().flat_map(|s| [(s, Law::He), (s, Law::Tracking)]) {
-        for (m, [s, j]) in [(1, [4.0, 2.0]), (1, [0.3, 0.1]), (3, [5.0, 5.0]), (25, [2.0, 0.4])] {
-            let op = path(7);
-            let first = FirstSlip { direction: -1.0, threshold: op[0] - 0.6 };
-            let mut made = Sequence::default();
-            made.run_in(stroke, law, &op, m, [s, j], first);
-            let uneven = Uneven { uneven: stroke.uneven, j };
-            let mut stem = Stem::new(first, s, uneven, stroke, m);
-            for (k, point) in op.chunks_exact(m).enumerate() {
-                let mean = averaged(m, |i| {
-                    stem.take(law, point[i], s, j, uneven);
-                    (stem.at - stem.behind, stem.direction)
-                });
-                assert_eq!((made.at[k], made.direction[k]), mean, "{law:?} {stroke:?} {m} at {k}");
-            }
-            assert_eq!((made.s_cell, made.j_cell), (stem.s_cell, stem.j_cell), "{law:?} {stroke:?}");
-            assert_eq!((made.slips, made.reversals), (stem.slips, stem.reversals));
         }
     }
 }
@@ -81,9 +50,8 @@ fn uneven_bands_are_wider_upwards() {
         let threshold = op[0] + 0.5;
         let mut position = threshold - band(fs, true);
         let mut moving = 0.0;
-        let mut sequence = Sequence::default();
         let first = FirstSlip { direction: 1.0, threshold };
-        sequence.run_in(Stroke { uneven, ..Stroke::FREE }, law, &op, 1, [fs + fd, fs - fd], first);
+        let sequence = Sequence::of(Stroke { uneven, ..Stroke::FREE }, law, &op, 1, [fs + fd, fs - fd], first);
         for (k, &u) in op.iter().enumerate() {
             let force = u - position;
             let slides = moving != 0.0 && moving * (u - moving * band(fd, moving > 0.0) - position) >= 0.0;
@@ -113,9 +81,8 @@ fn a_stem_at_its_stop_turns_back_from_there() {
         let (op, fs, fd) = (path(seed), 3.0, 1.2);
         let stops = [-3.0, 2.5];
         let first = FirstSlip { direction: 1.0, threshold: op[0] + 0.5 };
-        let mut sequence = Sequence::default();
         let stroke = Stroke { ends: [stops[0] - fd, stops[1] + fd], ..Stroke::FREE };
-        sequence.run_in(stroke, law, &op, 1, [fs + fd, fs - fd], first);
+        let sequence = Sequence::of(stroke, law, &op, 1, [fs + fd, fs - fd], first);
         let mut state = Tracking { position: op[0] + 0.5 - fs, direction: 0 };
         let mut met = [0, 0];
         for (k, &u) in op.iter().enumerate() {
@@ -138,16 +105,14 @@ fn a_stem_at_its_stop_turns_back_from_there() {
 fn a_cell_is_one_sequence_and_ends_where_it_says() {
     let op = path(9);
     let first = FirstSlip { direction: 1.0, threshold: op[0] + 1.0 };
-    let (mut here, mut there) = (Sequence::default(), Sequence::default());
-    here.run(Law::He, &op, 1, 4.0, 2.0, first);
+    let run = |s: f64, j: f64| Sequence::of(Stroke::FREE, Law::He, &op, 1, [s, j], first);
+    let here = run(4.0, 2.0);
     let [s_low, s_high] = here.s_cell;
     let [j_low, j_high] = here.j_cell;
     assert!(s_low <= 4.0 && 4.0 < s_high && j_low <= 2.0 && 2.0 < j_high);
     let tail = |x: &Sequence| x.at[600..].to_vec();
-    there.run(Law::He, &op, 1, s_low, j_low, first);
-    assert_eq!(tail(&here), tail(&there));
-    there.run(Law::He, &op, 1, s_high, j_low, first);
-    assert_ne!(tail(&here), tail(&there));
+    assert_eq!(tail(&here), tail(&run(s_low, j_low)));
+    assert_ne!(tail(&here), tail(&run(s_high, j_low)));
 }
 
 /// A stem that moves by itself between OP values, in small steps: it breaks away beyond `fs` and then goes as `go`
@@ -180,9 +145,8 @@ fn by_small_steps(
 /// Bands, first slip and sequence of a law with a stroke on an OP path, and the worst error against small steps in
 /// all but the few values near which a slip comes a moment earlier or later.
 fn apart(stroke: Stroke, law: Law, [fs, fd]: [f64; 2], op: &[f64], small: &[f64]) -> f64 {
-    let mut sequence = Sequence::default();
     let first = FirstSlip { direction: 1.0, threshold: op[0] + fs };
-    sequence.run_in(stroke, law, op, 1, [fs + fd, fs - fd], first);
+    let sequence = Sequence::of(stroke, law, op, 1, [fs + fd, fs - fd], first);
     let stem = sequence.at.iter().zip(&sequence.direction).map(|(at, d)| at - fd * d);
     let mut errors: Vec<f64> = stem.zip(small).map(|(a, b)| (a - b).abs()).collect();
     errors.sort_by(f64::total_cmp);
