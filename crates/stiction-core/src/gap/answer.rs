@@ -42,17 +42,19 @@ impl Process<'_> {
         let own = |v: f64| (1.0 - self.plan.level * v).max(LEAST_RATE);
         let decay = |v: f64, time: f64| libm::exp(-time * own(v) / self.tau[0]);
         let rest = |v: f64| v / own(v);
-        let mut before = [first, decay(first, fraction), decay(first, 1.0 - fraction)];
-        let mut x = rest(first);
+        // The input held, where it settles, how far off that is, and what the parts of a point leave of that.
+        let (mut held, mut settled, mut off, mut early, mut late) = (first, rest(first), 0.0, 1.0, 1.0);
         let point = |k: usize| {
             let newer = if k >= whole { v[k - whole] } else { first };
-            let older = before;
-            if newer != before[0] {
-                before = [newer, decay(newer, fraction), decay(newer, 1.0 - fraction)];
+            if newer == held {
+                off *= early * late;
+            } else {
+                let before = settled + off * early;
+                (held, settled) = (newer, rest(newer));
+                (early, late) = (decay(newer, fraction), decay(newer, 1.0 - fraction));
+                off = (before - settled) * late;
             }
-            x = rest(older[0]) + (x - rest(older[0])) * older[1];
-            x = rest(newer) + (x - rest(newer)) * before[2];
-            x
+            settled + off
         };
         (0..v.len()).map(point).collect()
     }

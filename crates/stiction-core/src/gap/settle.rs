@@ -1,6 +1,8 @@
 //! Local search in what is continuous: time constants and dead time behind a valve signal that is held, parameters of
 //! effects, and at the end all of them off the lattice. Only costs are asked for, no slopes.
 
+use nalgebra::{DMatrix, DVector};
+
 use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::{Reach, Unit};
 use super::evaluator::{Evaluator, Place, Prepared};
@@ -322,7 +324,7 @@ impl Evaluator<'_> {
         };
         let unit = |i: usize, by: f64| -> Vec<f64> { (0..n).map(|k| if k == i { by } else { 0.0 }).collect() };
         let middle = ask(self, &vec![0.0; n])?;
-        let (mut slope, mut curve) = (vec![0.0; n], vec![vec![0.0; n]; n]);
+        let (mut slope, mut curve) = (DVector::zeros(n), DMatrix::zeros(n, n));
         let mut ups = vec![0.0; n];
         for i in 0..n {
             let (Some(up), Some(down)) = (ask(self, &unit(i, 1.0)), ask(self, &unit(i, -1.0))) else {
@@ -330,14 +332,14 @@ impl Evaluator<'_> {
             };
             ups[i] = up;
             slope[i] = 0.5 * (up - down);
-            curve[i][i] = up + down - 2.0 * middle;
+            curve[(i, i)] = up + down - 2.0 * middle;
         }
         for i in 0..n {
             for k in 0..i {
                 let mut both = unit(i, 1.0);
                 both[k] = 1.0;
                 let mixed = ask(self, &both).map_or(0.0, |f| f - ups[i] - ups[k] + middle);
-                (curve[i][k], curve[k][i]) = (mixed, mixed);
+                (curve[(i, k)], curve[(k, i)]) = (mixed, mixed);
             }
         }
         if let Some(step) = newton_step(&curve, &slope) {
@@ -399,53 +401,14 @@ enum Slot {
 
 /// The step to the least of a quadratic form with these curvatures and slopes, damped until the form is a bowl, at most
 /// three units long along each axis.
-fn newton_step(curve: &[Vec<f64>], slope: &[f64]) -> Option<Vec<f64>> {
+fn newton_step(curve: &DMatrix<f64>, slope: &DVector<f64>) -> Option<Vec<f64>> {
     let n = slope.len();
-    let most = (0..n).map(|i| curve[i][i].abs()).fold(0.0, f64::max);
-    let mut damping = 1e-6 * most;
+    let mut damping = 1e-6 * curve.diagonal().amax();
     for _ in 0..12 {
-        let mut a: Vec<Vec<f64>> = curve.to_vec();
-        (0..n).for_each(|i| a[i][i] += damping);
-        if let Some(x) = solved(a, slope) {
-            return Some(x.into_iter().map(|v| (-v).clamp(-3.0, 3.0)).collect());
+        if let Some(bowl) = (curve + DMatrix::identity(n, n) * damping).cholesky() {
+            return Some(bowl.solve(slope).iter().map(|v| (-v).clamp(-3.0, 3.0)).collect());
         }
         damping *= 10.0;
     }
     None
-}
-
-/// The solution of a symmetric system, where it is positive definite (Cholesky).
-#[allow(clippy::needless_range_loop)] // rows and columns of one array
-fn solved(mut a: Vec<Vec<f64>>, b: &[f64]) -> Option<Vec<f64>> {
-    let n = b.len();
-    for i in 0..n {
-        for k in 0..=i {
-            let mut sum = a[i][k];
-            for m in 0..k {
-                sum -= a[i][m] * a[k][m];
-            }
-            if i == k {
-                if sum <= 0.0 {
-                    return None;
-                }
-                a[i][i] = sum.sqrt();
-            } else {
-                a[i][k] = sum / a[k][k];
-            }
-        }
-    }
-    let mut x = b.to_vec();
-    for i in 0..n {
-        for k in 0..i {
-            x[i] -= a[i][k] * x[k];
-        }
-        x[i] /= a[i][i];
-    }
-    for i in (0..n).rev() {
-        for k in i + 1..n {
-            x[i] -= a[k][i] * x[k];
-        }
-        x[i] /= a[i][i];
-    }
-    Some(x)
 }

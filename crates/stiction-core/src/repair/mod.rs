@@ -134,3 +134,6 @@ pub fn repair(record: &Record, assessment: &Assessment, params: &RepairParams) -
     let assumptions = words::assumptions(&told, &known, params);
     Ok(Repair { sentences, assumptions, ..told })
 }
+
+#[cfg(test)]
+mod tests;
