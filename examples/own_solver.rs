@@ -4,7 +4,7 @@
 
 use stiction::sim::he_step;
 use stiction::solver::{ALL, Objective, Outcome, Settings, Solver, Surface, solve};
-use stiction::{Class, Law, ModelChoice, Options, Record, ValveChoice};
+use stiction::{Class, Law, ModelChoice, NoFit, Options, Record, ValveChoice};
 
 /// Walks down each row of a grid: no good solver, but a short one.
 struct Rows;
@@ -45,16 +45,13 @@ fn record() -> Record {
     Record::uniform(1.0, op, measured)
 }
 
-fn main() {
+fn main() -> Result<(), NoFit> {
     let options = Options { model: ModelChoice::Fopdt, valve: ValveChoice::He, ..Options::default() };
     let record = record();
     let settings = Settings { budget: 2000, fineness_pct: 2.0, seed: 1 };
     let own: &dyn Solver = &Rows;
     for solver in ALL.into_iter().chain([own]) {
-        let Some(mut surface) = Surface::new(&record, &options, Law::He, Class::First) else {
-            println!("a signal does not move");
-            return;
-        };
+        let mut surface = Surface::new(&record, &options, Law::He, Class::First)?;
         let found = solve(&mut surface, solver, &settings);
         let outcome = found.outcome;
         println!(
@@ -67,4 +64,5 @@ fn main() {
             outcome.stopped.name()
         );
     }
+    Ok(())
 }

@@ -34,7 +34,7 @@ pub fn look(half: Half, regime: Regime, seed: u64) -> Option<Row> {
     let record = case.record();
     let period_points = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let options = Options { seed, period_points, ..Options::default() };
-    let e = quantify(&record, &options)?;
+    let e = quantify(&record, &options).ok()?;
     let regime = regime.name().to_owned();
     let (truth, found) = ([case.s?, case.j?], [e.s, e.j]);
     Some(Row { regime, seed, truth, found, spread: e.spread, span: e.span, evaluations: e.evaluations })

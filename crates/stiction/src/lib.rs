@@ -59,8 +59,9 @@
 //!     pv += 0.1 * (1.5 * stem - pv);
 //! }
 //! let options = Options { model: ModelChoice::Fopdt, ..Options::default() };
-//! let fit = quantify(&Record::uniform(1.0, op, measured), &options).expect("signals that move");
+//! let fit = quantify(&Record::uniform(1.0, op, measured), &options)?;
 //! assert!((fit.s - 3.5).abs() < 0.05 && (fit.gain - 1.5).abs() < 0.05);
+//! # Ok::<(), stiction::NoFit>(())
 //! ```
 //!
 //! # One valve over many windows
@@ -119,7 +120,7 @@ pub use stiction_core::verdict::{
 
 // The fit.
 pub use stiction_core::ident::class::Class;
-pub use stiction_core::ident::{DelayChoice, Estimate, Model, ModelChoice, Options, ValveChoice, quantify};
+pub use stiction_core::ident::{DelayChoice, Estimate, Model, ModelChoice, NoFit, Options, ValveChoice, quantify};
 pub use stiction_core::sim::slips::Law;
 
 // One valve over time, one plant, one repair.
@@ -157,7 +158,7 @@ pub use stiction_core::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Ne
 /// assert_eq!(record.facts.filled, 1);
 /// ```
 pub mod record {
-    pub use stiction_core::record::{Facts, Mode, Sample, Signal, Value};
+    pub use stiction_core::record::{Mode, Sample, Signal, Value};
     pub use stiction_core::signal::align::{AlignParams, Point, Quality, align_all};
     pub use stiction_core::signal::history::record_of;
 }
@@ -177,9 +178,10 @@ pub mod record {
 ///     pv += 0.1 * (1.5 * stem - pv);
 /// }
 /// let record = Record::uniform(1.0, op, measured);
-/// let mut surface = Surface::new(&record, &Options::default(), Law::He, Class::First).expect("signals that move");
+/// let mut surface = Surface::new(&record, &Options::default(), Law::He, Class::First)?;
 /// let found = solve(&mut surface, &AdaptiveRandom, &Settings { budget: 500, fineness_pct: 5.0, seed: 1 });
 /// assert!(found.mse < surface.mse(0.0, 0.0));
+/// # Ok::<(), stiction::NoFit>(())
 /// ```
 pub mod solver {
     pub use stiction_core::ident::surface::{Solved, Surface, solve};

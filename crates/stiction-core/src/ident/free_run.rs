@@ -7,7 +7,7 @@ use super::choice::Options;
 use super::class::{Class, Limits, Shape};
 use super::least_squares::Gram;
 use super::model::Model;
-use super::normalised::{NormalisedRecord, Start, normalise};
+use super::normalised::{NormalisedRecord, Start};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -34,11 +34,8 @@ pub struct FreeRun {
 /// 30 points count.
 #[must_use]
 pub fn free_run(record: &Record, model: &Model, after_ns: i64) -> Option<FreeRun> {
-    let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
-    if record.len() < LEAST || !span.is_normal() || !deviation.is_normal() {
-        return None;
-    }
-    let normalised = normalise(record, &Options::default(), span, deviation);
+    let normalised = NormalisedRecord::of(record, &Options::default()).ok()?;
+    let NormalisedRecord { span, deviation, .. } = normalised;
     let (class, shape) = shaped(model, record, &normalised)?;
     let counted_ns = after_ns.saturating_sub(record.start_ns).max(0);
     let new = ((counted_ns as f64 * 1e-9 / record.point_s()).floor() as usize).saturating_add(1);

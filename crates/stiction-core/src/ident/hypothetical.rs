@@ -9,7 +9,7 @@ use super::choice::Options;
 use super::class::Class;
 use super::evaluator::lattice_tau;
 use super::kinetic_band::MIN_SLIPS;
-use super::normalised::{NormalisedRecord, Start, normalise};
+use super::normalised::{NormalisedRecord, Start};
 use super::quantify::Estimate;
 use super::slip_search::answer::improvement;
 use super::slip_search::candidate::LatticeFit;
@@ -28,8 +28,6 @@ pub(crate) struct Hypothetical<'a> {
     class: Class,
     sign: f64,
     process: LatticeFit,
-    span: f64,
-    deviation: f64,
 }
 
 /// One hypothetical valve.
@@ -53,29 +51,25 @@ impl<'a> Hypothetical<'a> {
     /// it with the same `options`. `None` where no process shows.
     #[must_use]
     pub(crate) fn new(record: &'a Record, options: &Options, estimate: &Estimate) -> Option<Self> {
-        let (span, deviation) = (estimate.span, stats::std_dev(&record.pv));
-        if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
-            return None;
-        }
-        let normalised = normalise(record, options, span, deviation);
+        let normalised = NormalisedRecord::of(record, options).ok()?;
         let (class, sign) = (estimate.class, estimate.gain.signum());
         let process = on_whole_record(&Problem::new(&normalised, sign), Law::He, class, |evaluator, view| {
             frictionless(evaluator, view, class)
         })?;
-        (process.gain != 0.0).then_some(Self { record, normalised, class, sign, process, span, deviation })
+        (process.gain != 0.0).then_some(Self { record, normalised, class, sign, process })
     }
 
     /// Span of OP, OP units, that `s_over_span` is a share of.
     #[must_use]
     pub(crate) const fn span(&self) -> f64 {
-        self.span
+        self.normalised.span
     }
 
     /// What a valve of He's law with the bands `s` and `j`, OP units, makes of PV. The stem starts at OP's first value.
     /// `None` where OP hardly moves such a stem.
     #[must_use]
     pub(crate) fn valve(&self, s: f64, j: f64) -> Option<HypotheticalValve> {
-        let (s, j) = (s / self.span, j / self.span);
+        let (s, j) = (s / self.normalised.span, j / self.normalised.span);
         let normalised = &self.normalised;
         let start = Problem::new(normalised, self.sign).starts(0.5 * (s + j), &[0.0]).first().copied()?;
         let (mut moved, steps) = normalised.path.stem(Law::He, [s, j], 0.5 * (s - j), normalised.first_slip(start));
@@ -93,7 +87,7 @@ impl<'a> Hypothetical<'a> {
         answer.iter_mut().for_each(|a| *a *= self.process.gain);
         let pv = normalised.pv.iter().zip(&answer).map(|(pv, a)| pv + a).collect();
         Some(HypotheticalValve {
-            pv: self.record.pv.iter().zip(&answer).map(|(pv, a)| pv + self.deviation * a).collect(),
+            pv: self.record.pv.iter().zip(&answer).map(|(pv, a)| pv + self.normalised.deviation * a).collect(),
             s_over_span: s,
             reversals: steps.reversals,
             bands: [s, j],

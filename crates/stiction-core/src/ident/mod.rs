@@ -14,6 +14,7 @@ pub(crate) mod hypothetical;
 pub(crate) mod kinetic_band;
 pub(crate) mod least_squares;
 mod model;
+mod no_fit;
 pub(crate) mod normalised;
 pub mod one_step;
 mod quantify;
@@ -31,4 +32,5 @@ pub const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
 
 pub use choice::{DelayChoice, ModelChoice, Options, ValveChoice};
 pub use model::Model;
+pub use no_fit::NoFit;
 pub use quantify::{Estimate, quantify};

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::choice::{DelayChoice, Options};
 use super::class::Limits;
+use super::no_fit::NoFit;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{FirstSlip, Stroke};
@@ -19,6 +20,10 @@ pub struct NormalisedRecord {
     pub mean: Vec<f64>,
     /// PV less its mean, over its standard deviation.
     pub pv: Vec<f64>,
+    /// OP's robust span, OP units.
+    pub span: f64,
+    /// PV's standard deviation, PV units.
+    pub deviation: f64,
     /// Limits of the process' shape, points.
     pub limits: Limits,
     /// First point that counts.
@@ -69,6 +74,15 @@ impl SlipEnd {
 }
 
 impl NormalisedRecord {
+    /// The normalised form of a record that can be fitted.
+    ///
+    /// # Errors
+    /// What it lacks.
+    pub(crate) fn of(record: &Record, options: &Options) -> Result<Self, NoFit> {
+        NoFit::check(record)?;
+        Ok(normalise(record, options, stats::span(&record.op_path), stats::std_dev(&record.pv)))
+    }
+
     /// Running maxima (or minima) of OP from its first value on.
     pub(crate) fn running_extremes(path: &[f64]) -> [Vec<f64>; 2] {
         let first = path.first().copied().unwrap_or(0.0);
@@ -140,7 +154,7 @@ fn on_grid(x: f64) -> f64 {
 /// Dead times up to here are looked for whatever the loop, points: finer than that a record does not tell them.
 const FINEST: f64 = 3.0;
 
-/// The record in normalised form.
+/// The record in normalised form with this span of OP and this standard deviation of PV.
 pub(crate) fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) -> NormalisedRecord {
     let (n, m) = (record.len(), record.path_per_point());
     let middle = stats::mean(&record.op_path);
@@ -169,6 +183,8 @@ pub(crate) fn normalise(record: &Record, options: &Options, span: f64, deviation
         path: Arc::new(Path::new(path, m)),
         mean,
         pv,
+        span,
+        deviation,
         limits,
         from,
         period,

@@ -2,7 +2,8 @@
 
 use super::choice::{Options, ValveChoice};
 use super::class::Class;
-use super::normalised::{NormalisedRecord, normalise};
+use super::no_fit::NoFit;
+use super::normalised::NormalisedRecord;
 use super::sign;
 use super::slip_search::answer::{Answer, improvement, view_of};
 use super::slip_search::candidate::{Candidate, apart};
@@ -68,24 +69,21 @@ const HARDLY_WORSE: f64 = 0.01;
 /// Rivals that the interval visits.
 const RIVALS: usize = 24;
 
-/// The best valve and process model of a record, or `None` if a signal is constant or nothing moves the stem.
-#[must_use]
-pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
-    let span = stats::span(&record.op_path);
-    let deviation = stats::std_dev(&record.pv);
-    if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
-        return None;
-    }
-    let normalised = normalise(record, options, span, deviation);
+/// The best valve and process model of a record.
+///
+/// # Errors
+/// A signal is constant, there are too few points, or no process follows OP.
+pub fn quantify(record: &Record, options: &Options) -> Result<Estimate, NoFit> {
+    let normalised = NormalisedRecord::of(record, options)?;
+    let deviation = normalised.deviation;
     let laws: &[Law] = match options.valve {
         ValveChoice::He => &[Law::He],
         ValveChoice::Tracking => &[Law::Tracking],
         ValveChoice::Auto => &[Law::He, Law::Tracking],
     };
-    let scale = Scale { record, span, deviation };
     let of_sign = |sign: f64, rival: f64| {
         let problem = Problem::new(&normalised, sign);
-        estimate(&problem, options, laws, rival, &scale)
+        estimate(&problem, options, laws, rival, record)
     };
     let sp = record.sp.as_ref().filter(|sp| sp.len() == record.len());
     let level = stats::mean(&record.pv);
@@ -94,48 +92,35 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
         let both = [1.0, -1.0].map(|sign| of_sign(sign, f64::INFINITY));
         let rounds = both.iter().flatten().map(|e| e.rounds).sum();
         let evaluations = both.iter().flatten().map(|e| e.evaluations).sum();
-        let best = both.into_iter().flatten().min_by(|a, b| a.mse.total_cmp(&b.mse))?;
-        return Some(Estimate { rounds, evaluations, ..best });
+        let best = both.into_iter().flatten().min_by(|a, b| a.mse.total_cmp(&b.mse)).ok_or(NoFit::NoModel)?;
+        return Ok(Estimate { rounds, evaluations, ..best });
     };
-    let found = of_sign(read, f64::INFINITY)?;
+    let found = of_sign(read, f64::INFINITY).ok_or(NoFit::NoModel)?;
     if found.mse <= DOUBTFUL * deviation * deviation {
-        return Some(found);
+        return Ok(found);
     }
     // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
     let rival = AGAINST[0] * found.mse;
-    let other = of_sign(-read, rival / (deviation * deviation) * scale.count(&normalised));
+    let counted = record.len().saturating_sub(normalised.from).max(1) as f64;
+    let other = of_sign(-read, rival / (deviation * deviation) * counted);
     let evaluations = found.evaluations + other.as_ref().map_or(0, |o| o.evaluations);
     let believed = other.filter(|o| o.mse < rival && o.index > AGAINST[1]).unwrap_or(found);
-    Some(Estimate { evaluations, ..believed })
-}
-
-/// Recorded units.
-struct Scale<'r> {
-    record: &'r Record,
-    span: f64,
-    deviation: f64,
-}
-
-impl Scale<'_> {
-    /// Points whose error counts.
-    fn count(&self, normalised: &NormalisedRecord) -> f64 {
-        self.record.len().saturating_sub(normalised.from).max(1) as f64
-    }
+    Ok(Estimate { evaluations, ..believed })
 }
 
 /// The estimate for one sign of the gain; an error above `rival` is given up.
-fn estimate(problem: &Problem<'_>, options: &Options, laws: &[Law], rival: f64, scale: &Scale<'_>) -> Option<Estimate> {
+fn estimate(problem: &Problem<'_>, options: &Options, laws: &[Law], rival: f64, record: &Record) -> Option<Estimate> {
     let Options { model, fineness_pct, seed, .. } = *options;
     let request = Request { laws, model, fineness_pct, seed, rival };
     let settings = SearchSettings::usual();
     let (found, mut search) = Search::new(problem, &request, &settings).run();
     let best = *found.best.first()?;
     let answer = search.answer(best, &found, options)?;
-    let mut made = report(&mut search, &answer, &found, options, scale)?;
+    let mut made = report(&mut search, &answer, &found, options, record)?;
     let other_law = found.best.get(1).filter(|c| c.sse() < (1.0 + HARDLY_WORSE) * best.sse());
     if let Some(other) = other_law.copied()
         && let Some(answer) = search.answer(other, &found, options)
-        && let Some(other) = report(&mut search, &answer, &found, options, scale)
+        && let Some(other) = report(&mut search, &answer, &found, options, record)
     {
         made.spread = made.spread.or(&other.spread);
     }
@@ -149,12 +134,12 @@ fn report(
     answer: &Answer,
     found: &Found,
     options: &Options,
-    scale: &Scale<'_>,
+    record: &Record,
 ) -> Option<Estimate> {
     let mut view = view_of(search, answer);
-    let Scale { record, span, deviation } = *scale;
     let count = view.count();
     let (evaluator, plain) = search.whole();
+    let NormalisedRecord { span, deviation, .. } = *evaluator.problem.normalised;
     let class = answer.candidate.class;
     let rivals: Vec<Candidate> = apart(&found.seen, RIVALS, 0);
     let of_view = |sse: f64| improvement(sse, answer.without);

@@ -7,7 +7,8 @@
 use super::choice::Options;
 use super::class::Class;
 use super::evaluator::{View, lattice_index, lattice_tau};
-use super::normalised::{NormalisedRecord, Start, normalise};
+use super::no_fit::NoFit;
+use super::normalised::{NormalisedRecord, Start};
 use super::sign;
 use super::slip_search::candidate::{Candidate, LatticeFit};
 use super::slip_search::coarse_scan::CoarseScan;
@@ -16,7 +17,6 @@ use super::slip_search::part::frictionless;
 use super::slip_search::problem::Problem;
 use crate::optim::{Objective, Outcome, Settings, Solver};
 use crate::record::Record;
-use crate::signal::stats;
 use crate::sim::slips::Law;
 
 /// Default budget of a solver, evaluations: the toolbox's own limit.
@@ -52,8 +52,6 @@ pub struct Surface {
     law: Law,
     class: Class,
     sides: Vec<Side>,
-    span: f64,
-    deviation: f64,
     ts_s: f64,
     box_samples: f64,
     evaluations: u64,
@@ -69,9 +67,11 @@ struct Side {
 }
 
 impl Surface {
-    /// The surface of a record; `None` if a signal is constant or there are fewer than 30 points.
-    #[must_use]
-    pub fn new(record: &Record, options: &Options, law: Law, class: Class) -> Option<Self> {
+    /// The surface of a record.
+    ///
+    /// # Errors
+    /// A signal is constant, or there are too few points.
+    pub fn new(record: &Record, options: &Options, law: Law, class: Class) -> Result<Self, NoFit> {
         Self::of_sign(record, options, law, class, None)
     }
 
@@ -82,13 +82,8 @@ impl Surface {
         law: Law,
         class: Class,
         sign: Option<f64>,
-    ) -> Option<Self> {
-        let span = stats::span(&record.op_path);
-        let deviation = stats::std_dev(&record.pv);
-        if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
-            return None;
-        }
-        let normalised = normalise(record, options, span, deviation);
+    ) -> Result<Self, NoFit> {
+        let normalised = NormalisedRecord::of(record, options)?;
         let sign = sign.or_else(|| sign::of_gain(&normalised.mean, &normalised.pv));
         let signs = sign.map_or(vec![1.0, -1.0], |s| vec![s]);
         let side = |sign: f64| {
@@ -99,13 +94,11 @@ impl Surface {
             let without = frictionless(&mut evaluator, &mut view, class).filter(|f| f.gain != 0.0);
             Side { sign, scans: CoarseScan::of(&problem, 0.0, points), view, without }
         };
-        Some(Self {
+        Ok(Self {
             sides: signs.into_iter().map(side).collect(),
             normalised,
             law,
             class,
-            span,
-            deviation,
             ts_s: record.ts_s,
             box_samples: record.box_samples as f64,
             evaluations: 0,
@@ -115,7 +108,7 @@ impl Surface {
     /// Span of OP, the upper limit of `fs + fd`.
     #[must_use]
     pub const fn s0(&self) -> f64 {
-        self.span
+        self.normalised.span
     }
 
     /// Number of pairs evaluated.
@@ -133,7 +126,7 @@ impl Surface {
     /// The same with the process.
     pub fn point(&mut self, fs: f64, fd: f64) -> Option<Point> {
         let fit = self.fit(fs, fd)?;
-        let gain = self.class.gain(fit.gain) * self.deviation / self.span;
+        let gain = self.class.gain(fit.gain) * self.normalised.deviation / self.normalised.span;
         let point_s = self.ts_s * self.box_samples;
         let taus = fit.places.map(lattice_tau);
         Some(Point {
@@ -149,12 +142,12 @@ impl Surface {
     /// Squared normalised error to mean squared error in PV units.
     fn scale(&self) -> f64 {
         let count = self.sides.first().map_or(1.0, |side| side.view.count());
-        self.deviation * self.deviation / count.max(1.0)
+        self.normalised.deviation * self.normalised.deviation / count.max(1.0)
     }
 
     fn fit(&mut self, fs: f64, fd: f64) -> Option<LatticeFit> {
         self.evaluations += 1;
-        let [s, j] = [(fs + fd) / self.span, (fs - fd) / self.span];
+        let [s, j] = [(fs + fd) / self.normalised.span, (fs - fd) / self.normalised.span];
         let inside = fd >= 0.0 && fd <= fs && s <= 1.0 + 1e-9;
         if !inside {
             return None;
@@ -205,7 +198,7 @@ impl Side {
 
 impl Objective for Surface {
     fn cost(&mut self, [s, j]: [f64; 2]) -> f64 {
-        let (fs, fd) = (0.5 * (s + j) * self.span, 0.5 * (s - j) * self.span);
+        let (fs, fd) = (0.5 * (s + j) * self.normalised.span, 0.5 * (s - j) * self.normalised.span);
         self.mse(fs, fd.min(fs))
     }
 }

@@ -75,7 +75,7 @@ impl<'r> Evidence<'r> {
         let worth_it = params.always_fit
             || found.is_some_and(|o| o.oscillating && o.periods >= params.min_periods)
             || reversals(&record.op()) as f64 >= params.min_periods;
-        let estimate = if worth_it { quantify(record, &options(params, &first)) } else { None };
+        let estimate = if worth_it { quantify(record, &options(params, &first)).ok() } else { None };
         let view = View::with_period(record, first.looks.typical_period);
         let interpolated = is_interpolated(record);
         let figures = Figures::of(estimate.as_ref(), record, &view, interpolated);

@@ -54,7 +54,7 @@ pub struct SolverDocument {
 pub fn surface(record: &Record, options: &Options, found: &Assessment) -> Option<Surface> {
     let class = class_of(found.process.as_ref()?);
     let law = found.valve_model.unwrap_or(Law::He);
-    Surface::new(record, options, law, class)
+    Surface::new(record, options, law, class).ok()
 }
 
 const fn class_of(process: &Process) -> Class {

@@ -40,7 +40,7 @@ impl FitPlots<'_> {
         let [low, high] = [c.cells[0][0], c.cells[0][1].min(c.s.max(1.0))];
         let fd = c.fit.fd;
         let s = (low + place * (high - low)).max(2.0 * fd);
-        Optimum { fs: (s - fd) * self.span, fd: fd * self.span, rms: self.rms(c.fit.sse) }
+        Optimum { fs: (s - fd) * self.span(), fd: fd * self.span(), rms: self.rms(c.fit.sse) }
     }
 
     /// Where the whole search ends when it draws from another seed, the valve law kept: restarts that end apart tell of
@@ -51,7 +51,7 @@ impl FitPlots<'_> {
             Law::He => ValveChoice::He,
             Law::Tracking => ValveChoice::Tracking,
         };
-        let e = quantify(self.record, &Options { seed, valve, ..self.options })?;
+        let e = quantify(self.record, &Options { seed, valve, ..self.options }).ok()?;
         Some(Optimum { fs: 0.5 * (e.s + e.j), fd: 0.5 * (e.s - e.j), rms: e.mse.sqrt() })
     }
 

@@ -49,12 +49,12 @@ impl FitPlots<'_> {
     pub fn error_map(&self, order: u8, step: f64) -> Option<ErrorMap> {
         let law = self.candidate.law;
         let class = class_of(order, self.candidate.class.integrates());
-        let mut surface = Surface::of_sign(self.record, &self.options, law, class, Some(self.sign))?;
+        let mut surface = Surface::of_sign(self.record, &self.options, law, class, Some(self.sign)).ok()?;
         let own = self.evaluate(|evaluator, view| {
             let own = self.in_order(order, evaluator, view)?;
             Some((centred(&own), self.rms(evaluator.polish(view, &own)?.sse)))
         });
-        let mut rms = |[s, j]: [f64; 2]| surface.mse(0.5 * (s + j) * self.span, 0.5 * (s - j) * self.span).sqrt();
+        let mut rms = |[s, j]: [f64; 2]| surface.mse(0.5 * (s + j) * self.span(), 0.5 * (s - j) * self.span()).sqrt();
         // Where no process follows OP as it is, there is none.
         let without = Some(rms([0.0; 2])).filter(|rms| rms.is_finite());
         let without = without.unwrap_or_else(|| self.evaluate(|_, view| self.rms(view.nothing())));
@@ -73,7 +73,7 @@ impl FitPlots<'_> {
                 {
                     best = best.min(own);
                 }
-                cells.push(Cell { fs: fs * self.span, fd: fd * self.span, rms: best.is_finite().then_some(best) });
+                cells.push(Cell { fs: fs * self.span(), fd: fd * self.span(), rms: best.is_finite().then_some(best) });
             }
         }
         let known = || cells.iter().filter_map(|c| c.rms.map(|rms| (*c, rms)));
@@ -86,6 +86,6 @@ impl FitPlots<'_> {
                 *side = [side[0].min(value), side[1].max(value)];
             }
         }
-        Some(ErrorMap { order, step: step * self.span, cells, best, region })
+        Some(ErrorMap { order, step: step * self.span(), cells, best, region })
     }
 }

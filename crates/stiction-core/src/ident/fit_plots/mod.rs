@@ -14,7 +14,7 @@ use super::choice::Options;
 use super::class::Class;
 use super::evaluator::{View, lattice_index};
 use super::model::Model;
-use super::normalised::{NormalisedRecord, normalise};
+use super::normalised::NormalisedRecord;
 use super::slip_search::answer::{EARNED, FITTED_SHARE, held_out};
 use super::slip_search::candidate::{Candidate, LatticeFit};
 use super::slip_search::evaluator::{Evaluator, Polished, on_whole_record};
@@ -50,8 +50,6 @@ pub struct FitPlots<'a> {
     /// The process, its time constants off the lattice.
     process: Polished,
     sign: f64,
-    span: f64,
-    deviation: f64,
 }
 
 /// The free run of a model: its response to OP without feedback from PV.
@@ -93,12 +91,12 @@ impl<'a> FitPlots<'a> {
     /// Refits `model` to its record; `options` are those of the estimate. `None` if a signal is constant or the stem never slips.
     #[must_use]
     pub fn new(record: &'a Record, options: &Options, model: &Model) -> Option<Self> {
-        let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
         let (s, j) = (model.fs + model.fd, model.fs - model.fd);
-        if record.len() < 30 || !span.is_normal() || !deviation.is_normal() || s.is_nan() || s <= 0.0 {
+        if s.is_nan() || s <= 0.0 {
             return None;
         }
-        let normalised = normalise(record, options, span, deviation);
+        let normalised = NormalisedRecord::of(record, options).ok()?;
+        let span = normalised.span;
         let (class, sign) = (model.class()?, if model.gain < 0.0 { -1.0 } else { 1.0 });
         let bands = [s / span, j.clamp(0.0, s) / span];
         let told = on_lattice(model, record);
@@ -107,7 +105,7 @@ impl<'a> FitPlots<'a> {
                 let candidate = refit(evaluator, view, bands, &told)?;
                 Some((candidate, evaluator.polish(view, &candidate)?))
             })?;
-        Some(Self { record, options: *options, normalised, candidate, process, sign, span, deviation })
+        Some(Self { record, options: *options, normalised, candidate, process, sign })
     }
 
     /// Does some `work` with an evaluator of the record.
@@ -123,7 +121,7 @@ impl<'a> FitPlots<'a> {
     /// Span of OP, OP units, the upper limit of fs + fd.
     #[must_use]
     pub const fn span(&self) -> f64 {
-        self.span
+        self.normalised.span
     }
 
     /// Number of valid points.
@@ -133,7 +131,7 @@ impl<'a> FitPlots<'a> {
 
     /// Root mean square, PV units, of a squared error in normalised units.
     fn rms(&self, sse: f64) -> f64 {
-        (sse / self.count()).sqrt() * self.deviation
+        (sse / self.count()).sqrt() * self.normalised.deviation
     }
 
     /// The model's signals.
@@ -143,11 +141,11 @@ impl<'a> FitPlots<'a> {
         let q = &self.normalised;
         let (stem, _) = q.path.stem(c.law, [c.s, c.j], self.process.fd, q.first_slip(c.start));
         let middle = stats::mean(&self.record.op_path);
-        let residual: Vec<f64> = self.residual().iter().map(|r| r * self.deviation).collect();
+        let residual: Vec<f64> = self.residual().iter().map(|r| r * self.normalised.deviation).collect();
         let measured = &self.record.pv[q.from.min(self.record.pv.len())..];
         FreeRun {
             from: q.from,
-            valve: stem.iter().map(|v| middle + self.span * v).collect(),
+            valve: stem.iter().map(|v| middle + self.normalised.span * v).collect(),
             pv: measured.iter().zip(&residual).map(|(y, r)| y - r).collect(),
             residual,
         }
@@ -175,7 +173,7 @@ impl<'a> FitPlots<'a> {
                 let fitted = self.in_order(order, evaluator, view)?;
                 Some((evaluator.polish(view, &fitted)?, held_out(evaluator, 0.0, &fitted)))
             })?;
-            let held_out_rms = held_out.sqrt() * self.deviation;
+            let held_out_rms = held_out.sqrt() * self.normalised.deviation;
             held_out_rms.is_finite().then_some(OrderFigures { order, fitted_rms: self.rms(fitted.sse), held_out_rms })
         });
         OrderChart { figures: figures.collect(), fitted_share: FITTED_SHARE, must_remove: EARNED }
