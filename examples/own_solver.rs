@@ -45,7 +45,7 @@ fn record() -> Record {
     Record::uniform(1.0, op, measured)
 }
 
-fn main() -> Result<(), NoFit> {
+fn compare() -> Result<(), NoFit> {
     let options = Options { model: ModelChoice::Fopdt, valve: ValveChoice::He, ..Options::default() };
     let record = record();
     let settings = Settings { budget: 2000, fineness_pct: 2.0, seed: 1 };
@@ -65,4 +65,10 @@ fn main() -> Result<(), NoFit> {
         );
     }
     Ok(())
+}
+
+fn main() {
+    if let Err(why) = compare() {
+        eprintln!("{why}");
+    }
 }

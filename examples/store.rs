@@ -5,7 +5,7 @@
 use std::error::Error;
 use std::fs::File;
 
-use stiction_core::verdict::{AssessParams, assess};
+use stiction::{AssessParams, assess};
 use stiction_files::compact::{CompactLoop, write};
 use stiction_files::load_samples;
 use stiction_monitor::analysis::{Cut, Points, Section};

@@ -5,7 +5,8 @@
 //!
 //! | crate | |
 //! |---|---|
-//! | `stiction` | the science: records, physics, identification, verdict, gap. No file, clock, thread or socket |
+//! | `stiction-core` | the science: records, physics, identification, verdict, gap. No file, clock, thread or socket |
+//! | `stiction` | what other Rust programs need of it |
 //! | `stiction-monitor` | what is deterministic of a daemon: payloads, settings, the engine, alarms. Neither |
 //! | `stiction-truth` | simulated loops of known truth, published methods to compare with |
 //! | `stiction-lab` | what proves the science: challenge, calibration. The program does not use it |

@@ -125,10 +125,10 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     let model = model_file(path)?.on(&rest);
     let wrong = || path.display().to_string();
     check_model(&model).with_context(wrong)?;
-    let Parts { stroke, around, load, on_pv } = parts(&model, scenario.run.ts_s).with_context(wrong)?;
+    let Parts { stroke, actuator, load, on_pv } = parts(&model, scenario.run.ts_s).with_context(wrong)?;
     // The scenario's process rests elsewhere than the model's.
-    let (around, slope) = around.counted_from(spec.operating_point.op);
-    (spec.valve.stroke, spec.valve.around) = (stroke, around);
+    let (actuator, slope) = actuator.counted_from(spec.operating_point.op);
+    (spec.valve.stroke, spec.valve.actuator) = (stroke, actuator);
     spec.disturbance.load.extend(load);
     spec.disturbance.pv.extend(on_pv);
     spec.valve.law = match model.valve.law.as_str() {

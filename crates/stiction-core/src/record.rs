@@ -170,10 +170,12 @@ pub struct Record {
 }
 
 impl Record {
-    /// A record of raw samples at a constant rate, as in simulations and tests.
+    /// A record of raw samples at a constant rate that starts at time 0; as long as the shorter signal.
     #[must_use]
-    pub fn uniform(ts_s: f64, op: Vec<f64>, pv: Vec<f64>) -> Self {
+    pub fn uniform(ts_s: f64, mut op: Vec<f64>, mut pv: Vec<f64>) -> Self {
         let n = op.len().min(pv.len());
+        op.truncate(n);
+        pv.truncate(n);
         let repeats = |x: &[f64]| x.windows(2).filter(|w| w[0] == w[1]).count() as u32;
         Self {
             start_ns: 0,

@@ -43,16 +43,19 @@ mod worker;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::mem;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
+use crossbeam_channel::{Receiver, Sender};
 use sd_notify::NotifyState;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
+use zenoh::query::Queryable;
 
 pub use self::core::to_json;
 use self::core::{Core, Parts, tell_system};
@@ -67,10 +70,12 @@ use crate::sink::signing::Signer;
 use crate::source::askers::Askers;
 use crate::source::queries::Queries;
 use crate::source::replies::Replies;
-use crate::source::{CONTROL_QUEUE, presence};
+use crate::source::{CONTROL_QUEUE, Message, presence};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
+use stiction_monitor::engine::Checkpoint;
 use stiction_runtime::clock::Clock;
+use stiction_runtime::control::Control;
 pub use stiction_runtime::health::DaemonHealth;
 use stiction_runtime::view::Serve;
 
@@ -143,13 +148,9 @@ pub async fn run(
     let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
     let comparer = config.plant.groups.then(|| Comparer::start(&daemon_id)).transpose()?;
 
-    let sign = signer.map(|signer| -> source::zenoh::Sign {
-        Arc::new(move |key: &str, document: &[u8]| signer.attachment(key, document))
-    });
     let askers = Askers::new(&config.commands);
-    let replies = Replies::start(askers.clone(), shared.last.clone(), sign, metrics.clone())?;
-    let queries = Queries::new(&config, control.clone(), (replies, askers.clone()), metrics.clone());
-    let queryables = queries.answer(&session, &daemon_id, &shared.last).await?;
+    let answered = Answered { config: &config, shared: &shared, askers: &askers, control: &control };
+    let queryables = answered.on(&session, &daemon_id, signer).await?;
     let Sinks { recorder, keeper, publisher, outbox, stops } = sinks;
     let progress = recorder.progress();
     let parts = Parts {
@@ -171,24 +172,10 @@ pub async fn run(
         clock: Clock::system(),
         health_every: options.health_every,
     };
-    let (stop_core, stopping) = crossbeam_channel::bounded::<()>(0);
-    let core = std::thread::Builder::new().name("engine".into()).spawn(move || {
-        let mut core = Core::new(parts);
-        core.restore(memories);
-        core.run(&incoming, &wishes, &stopping);
-    })?;
-    threads.insert(0, ("engine", core));
+    let (stop_core, engine_thread) = start_engine(parts, memories, incoming, wishes)?;
+    threads.insert(0, ("engine", engine_thread));
     let presence = Presence::show(&session, &config, &daemon_id, deaf, &shared).await?;
-    tracing::info!(
-        prefix = config.site.prefix,
-        daemon = daemon_id,
-        listen = ?presence.listening,
-        connect = ?config.zenoh.connect,
-        web = server.address.map(|a| a.to_string()),
-        recordings = %shared.recordings.display(),
-        "watching"
-    );
-
+    presence.tell(&config, &daemon_id, server.address, &shared.recordings);
     tell_system(&[NotifyState::Ready]);
     let (file, current, faults) = (options.config_file, shared.current.clone(), faults.clone());
     let mut reload =
@@ -212,6 +199,47 @@ pub async fn run(
     // Closing may hang when the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
     ended
+}
+
+/// The engine's thread, which ends when the sender is dropped.
+fn start_engine(
+    parts: Parts,
+    memories: BTreeMap<String, Checkpoint>,
+    incoming: Receiver<Message>,
+    wishes: Receiver<Control>,
+) -> std::io::Result<(Sender<()>, std::thread::JoinHandle<()>)> {
+    let (stop, stopping) = crossbeam_channel::bounded::<()>(0);
+    let thread = std::thread::Builder::new().name("engine".into()).spawn(move || {
+        let mut core = Core::new(parts);
+        core.restore(memories);
+        core.run(&incoming, &wishes, &stopping);
+    })?;
+    Ok((stop, thread))
+}
+
+/// What queries on the bus are answered from.
+struct Answered<'a> {
+    config: &'a Config,
+    shared: &'a Shared,
+    askers: &'a Askers,
+    control: &'a Sender<Control>,
+}
+
+impl Answered<'_> {
+    async fn on(
+        &self,
+        session: &zenoh::Session,
+        daemon_id: &str,
+        signer: Option<Arc<Signer>>,
+    ) -> anyhow::Result<Vec<Queryable<()>>> {
+        let Shared { metrics, last, .. } = self.shared;
+        let sign = signer.map(|signer| -> source::zenoh::Sign {
+            Arc::new(move |key: &str, document: &[u8]| signer.attachment(key, document))
+        });
+        let replies = Replies::start(self.askers.clone(), last.clone(), sign, metrics.clone())?;
+        let asked = (replies, self.askers.clone());
+        Queries::new(self.config, self.control.clone(), asked, metrics.clone()).answer(session, daemon_id, last).await
+    }
 }
 
 /// What others on the bus see of the daemon, and what it sees of them.
@@ -246,6 +274,19 @@ impl Presence {
         let key = topic::plane(prefix, &format!("@daemon/{daemon_id}"));
         let token = session.liveliness().declare_token(&key).await.map_err(|e| anyhow!("{key}: {e}"))?;
         Ok(Self { listening, foreign, watching, token })
+    }
+
+    /// Writes to the log that the daemon watches, and where it can be reached.
+    fn tell(&self, config: &Config, daemon_id: &str, web: Option<SocketAddr>, recordings: &Path) {
+        tracing::info!(
+            prefix = config.site.prefix,
+            daemon = daemon_id,
+            listen = ?self.listening,
+            connect = ?config.zenoh.connect,
+            web = web.map(|a| a.to_string()),
+            recordings = %recordings.display(),
+            "watching"
+        );
     }
 
     async fn end(self) {

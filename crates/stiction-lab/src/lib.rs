@@ -1,4 +1,4 @@
-//! What proves [`stiction`], on the loops of [`stiction_truth`]: a sealed challenge for the gap diagnosis with its scorer,
+//! What proves [`stiction_core`], on the loops of [`stiction_truth`]: a sealed challenge for the gap diagnosis with its scorer,
 //! and the fits of the verdict's rule and of the intervals to what was simulated and labelled.
 //!
 //! The library cannot use any of this, as it does not depend on this crate.

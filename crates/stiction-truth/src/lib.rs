@@ -9,7 +9,7 @@
 //!
 //! Bands are OP units (0..100 %), times scans unless they say seconds; `ts_s` is a label only.
 //!
-//! [`stiction`] cannot use any of this, as it does not depend on this crate.
+//! [`stiction_core`] cannot use any of this, as it does not depend on this crate.
 //!
 //! | room | |
 //! |---|---|

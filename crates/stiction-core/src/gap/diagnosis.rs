@@ -74,7 +74,7 @@ impl Searched {
     /// Whether a base that was fitted to few stored values leaves more of PV than its mean would.
     fn tells_nothing(&self) -> bool {
         let base = || fit(&self.problem, &self.found.base, None, &|_| {});
-        !self.traces.noise_shows && base().is_none_or(|base| base.rmse > self.problem.deviation)
+        !self.traces.noise_shows && base().is_none_or(|base| base.rmse > self.problem.normalised.deviation)
     }
 
     fn scales<'a>(&'a self, base: &'a Fit, seed: u64) -> Scales<'a> {
@@ -225,7 +225,7 @@ fn weigh_all(
     basis.acts = compared.as_ref().and_then(|c| c.acts.as_deref()).map(effects::neighbour::id_of);
     let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
     Ok(Diagnosis {
-        relative_gap: base.gap / problem.deviation,
+        relative_gap: base.gap / problem.normalised.deviation,
         predictions: Predictions {
             pv_base: Vec::new(),
             pv_after: Vec::new(),
@@ -324,13 +324,14 @@ fn check_floor(problem: &Problem, found: &Found, traces: &Traces, floor: &mut Fl
     let best = found.searches.iter().chain([&found.base]).min_by(|a, b| a.sse().total_cmp(&b.sse()));
     let left = best.and_then(|search| residual_of(problem, search));
     if let (true, Some(left)) = (traces.thinned, &left) {
-        let sd = noise::of_measured(left, &traces.measured, problem.blocks.from).map(|s| s * problem.deviation);
+        let sd =
+            noise::of_measured(left, &traces.measured, problem.blocks.from).map(|s| s * problem.normalised.deviation);
         let sd = sd.filter(|_| traces.noise_shows);
         floor.noise_sd = sd;
         floor.noise_floor = sd.filter(|s| *s > 0.0);
     }
     let sd = left.and_then(|r| noise::high_band(&r, &problem.train));
-    floor.high_band_sd = sd.map(|s| s * problem.deviation);
+    floor.high_band_sd = sd.map(|s| s * problem.normalised.deviation);
 }
 
 /// How much of the floor is owed to what an effect told of PV's noise: a grid's own share, and the memory of a filter. Before
@@ -355,8 +356,9 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
     let (problem, floor) = (scales.problem, scales.floor);
     let mut out: Vec<EffectResult> = found.searches.iter().filter_map(|search| scales.weigh(search)).collect();
     let left = residual_of(problem, &found.base);
-    let one_step =
-        left.and_then(|r| noise::autoregression(&r, &problem.train)).map(|a| a.mse.sqrt() * problem.deviation);
+    let one_step = left
+        .and_then(|r| noise::autoregression(&r, &problem.train))
+        .map(|a| a.mse.sqrt() * problem.normalised.deviation);
     for effect in effects::ALL.into_iter().filter(|e| options.asks(e.id)) {
         let floor_after = match effect.way {
             Way::Noise => one_step,
@@ -428,7 +430,7 @@ fn basis(
 
 /// Whether the record holds more than one repeated swing: the set point moves, or OP's turns differ in size.
 fn excited(record: &Record, problem: &Problem) -> bool {
-    let moves = record.sp.as_ref().is_some_and(|sp| stats::std_dev(sp) > 0.05 * problem.deviation);
+    let moves = record.sp.as_ref().is_some_and(|sp| stats::std_dev(sp) > 0.05 * problem.normalised.deviation);
     moves || !problem.oscillates
 }
 

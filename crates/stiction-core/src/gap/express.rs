@@ -69,7 +69,7 @@ fn tied_bands(problem: &Problem, structure: &Structure, of: &Candidate) -> [f64;
 #[must_use]
 pub(crate) fn model(problem: &Problem, structure: &Structure, of: &Candidate) -> Model {
     let plan = structure.plan(&of.theta);
-    let per_op = problem.deviation / problem.span;
+    let per_op = problem.normalised.deviation / problem.normalised.span;
     let total = if plan.zero { of.linear.gain + of.linear.others[of.linear.count - 1] } else { of.linear.gain };
     let by_point = plan.class().gain(total * per_op);
     let gain = if plan.integrating { by_point / problem.point_s } else { by_point };
@@ -100,9 +100,9 @@ pub(crate) fn model(problem: &Problem, structure: &Structure, of: &Candidate) ->
         ts_s,
         valve: Valve {
             law: law.to_owned(),
-            fs: fs * problem.span,
-            fd: fd * problem.span,
-            stem0: plan.law.map(|_| stem0 * problem.span + problem.op_middle),
+            fs: fs * problem.normalised.span,
+            fd: fd * problem.normalised.span,
+            stem0: plan.law.map(|_| stem0 * problem.normalised.span + problem.op_middle),
         },
         process: Process {
             gain,
@@ -110,7 +110,7 @@ pub(crate) fn model(problem: &Problem, structure: &Structure, of: &Candidate) ->
             dead_time_s: (of.theta.lag * problem.box_samples - 1.0).max(0.0) * ts_s,
             integrating: plan.integrating,
             op: problem.op_middle,
-            pv: problem.pv_mean + of.linear.others[0] * problem.deviation,
+            pv: problem.pv_mean + of.linear.others[0] * problem.normalised.deviation,
         },
         effects: structure
             .each()
@@ -153,21 +153,21 @@ pub(crate) fn fit(problem: &Problem, search: &Search, floor: Option<f64>, after:
     let mut pass = PlainPass::new(problem, search.sign);
     let (mut prediction, valve) = pass.simulate(&search.structure, best)?;
     for p in &mut prediction {
-        *p = *p * problem.deviation + problem.pv_mean;
+        *p = *p * problem.normalised.deviation + problem.pv_mean;
     }
     after(&mut prediction);
     let residual: Vec<f64> = prediction
         .iter()
         .zip(&problem.normalised.pv)
-        .map(|(p, y)| y * problem.deviation + problem.pv_mean - p)
+        .map(|(p, y)| y * problem.normalised.deviation + problem.pv_mean - p)
         .collect();
     let errors = Errors::of(problem, &residual);
     let model = model(problem, &search.structure, best);
-    let valve: Vec<f64> = valve.iter().map(|v| v * problem.span + problem.op_middle).collect();
+    let valve: Vec<f64> = valve.iter().map(|v| v * problem.normalised.span + problem.op_middle).collect();
     let plan = search.structure.plan(&best.theta);
     Some(Fit {
         id: search.structure.id_in(problem),
-        slips: if plan.law.is_some() { slips(&valve, 1e-6 * problem.span) } else { Vec::new() },
+        slips: if plan.law.is_some() { slips(&valve, 1e-6 * problem.normalised.span) } else { Vec::new() },
         dead_time_s: model.process.dead_time_s,
         time_constants_s: model.process.time_constants_s.clone(),
         model,

@@ -124,7 +124,7 @@ struct Left {
 impl Left {
     fn by(problem: &Problem, search: &Search) -> Option<Self> {
         let left = residual_of(problem, search)?;
-        let log = |mse: f64| libm::log(mse.max(1e-300)) + 2.0 * libm::log(problem.deviation);
+        let log = |mse: f64| libm::log(mse.max(1e-300)) + 2.0 * libm::log(problem.normalised.deviation);
         let one_step = noise::autoregression(&left, &problem.train).map(|a| log(a.mse))?;
         let (first, pole) = noise::first_order(&left, &problem.train)?;
         Some(Self { one_step, pole, is_first: log(first) - one_step < FIRST_ORDER })
@@ -171,7 +171,8 @@ impl Undone {
         let a = self.pole;
         let base = fit(&self.problem, search, self.floor, &|_| {})?;
         let from = problem.blocks.from.max(self.problem.blocks.from);
-        let pv: Vec<f64> = problem.normalised.pv.iter().map(|y| y * problem.deviation + problem.pv_mean).collect();
+        let pv: Vec<f64> =
+            problem.normalised.pv.iter().map(|y| y * problem.normalised.deviation + problem.pv_mean).collect();
         let mut prediction = base.prediction.clone();
         let mut before = prediction.get(from)?.to_owned();
         for p in &mut prediction[from..] {

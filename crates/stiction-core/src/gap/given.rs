@@ -31,7 +31,7 @@ pub(crate) fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> 
     let structure = structure(model)?;
     let theta = theta(problem, model, &structure);
     let per_point = if model.process.integrating { problem.point_s / Class::Integrating.gain(1.0) } else { 1.0 };
-    let gain = model.process.gain * problem.span / problem.deviation * per_point;
+    let gain = model.process.gain * problem.normalised.span / problem.normalised.deviation * per_point;
     let mut pass = PlainPass::new(problem, gain.signum());
     let mut best: Option<Candidate> = None;
     for first in firsts(problem, model, &theta) {
@@ -43,20 +43,20 @@ pub(crate) fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> 
     let stuck = ModelError::Range { name: "fs", value: model.valve.fs, want: "small enough for OP to move the stem" };
     let best = best.ok_or(stuck.clone())?;
     let (prediction, valve) = pass.simulate(&structure, &best).ok_or(stuck)?;
-    let prediction: Vec<f64> = prediction.iter().map(|p| p * problem.deviation + problem.pv_mean).collect();
+    let prediction: Vec<f64> = prediction.iter().map(|p| p * problem.normalised.deviation + problem.pv_mean).collect();
     let residual: Vec<f64> = problem
         .normalised
         .pv
         .iter()
         .zip(&prediction)
-        .map(|(y, p)| y * problem.deviation + problem.pv_mean - p)
+        .map(|(y, p)| y * problem.normalised.deviation + problem.pv_mean - p)
         .collect();
     let errors = Errors::of(problem, &residual);
-    let valve: Vec<f64> = valve.iter().map(|v| v * problem.span + problem.op_middle).collect();
+    let valve: Vec<f64> = valve.iter().map(|v| v * problem.normalised.span + problem.op_middle).collect();
     Ok(Fit {
         id: "given".to_owned(),
         model: model.clone(),
-        slips: if structure.law.is_some() { slips(&valve, 1e-6 * problem.span) } else { Vec::new() },
+        slips: if structure.law.is_some() { slips(&valve, 1e-6 * problem.normalised.span) } else { Vec::new() },
         valve,
         prediction,
         dead_time_s: model.process.dead_time_s,
@@ -147,7 +147,7 @@ fn own_time_constant(model: &Model) -> f64 {
 }
 
 fn theta(problem: &Problem, model: &Model, structure: &Structure) -> Parameters {
-    let (fs, fd) = (model.valve.fs / problem.span, model.valve.fd / problem.span);
+    let (fs, fd) = (model.valve.fs / problem.normalised.span, model.valve.fd / problem.normalised.span);
     let tau = |i: usize| model.process.time_constants_s.get(i).map_or(1.0, |t| t / problem.point_s);
     let ts_s = problem.point_s / problem.box_samples;
     let mut theta = Parameters {
@@ -186,7 +186,7 @@ fn firsts(problem: &Problem, model: &Model, theta: &Parameters) -> Vec<FirstSlip
     let starts = SlipProblem::new(normalised, 1.0).starts(fs, &EVEN_STARTS);
     let mut out: Vec<FirstSlip> = starts.into_iter().map(|start| normalised.first_slip(start)).collect();
     if let Some(stem0) = model.valve.stem0 {
-        let position = (stem0 - problem.op_middle) / problem.span;
+        let position = (stem0 - problem.op_middle) / problem.normalised.span;
         out.push(FirstSlip { direction: 1.0, threshold: position + fs });
         out.push(FirstSlip { direction: -1.0, threshold: position - fs });
     }

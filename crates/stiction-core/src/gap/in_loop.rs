@@ -1,7 +1,7 @@
 //! What an effect of a model is in a closed loop's simulation, or why it has no place there.
 
 use super::model::{Added, Model};
-use crate::sim::actuator::Around;
+use crate::sim::actuator::Actuator;
 use crate::sim::disturbance::Disturbance;
 use crate::sim::slips::Stroke;
 
@@ -11,7 +11,7 @@ pub struct Parts {
     /// Of the stem's own motion.
     pub stroke: Stroke,
     /// Around the stem.
-    pub around: Around,
+    pub actuator: Actuator,
     /// At the process' input, OP units; times count from the record's start.
     pub load: Vec<Disturbance>,
     /// On PV, PV units.

@@ -16,7 +16,7 @@ use crate::ident::controller::{self, Reading};
 use crate::record::Record;
 use crate::signal::detrend::moving_average;
 use crate::signal::stats;
-use crate::sim::actuator::Around;
+use crate::sim::actuator::Actuator;
 use crate::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use crate::sim::controller::{Action, PidSettings};
 use crate::sim::process::ProcessModel;
@@ -108,12 +108,12 @@ fn cycle(op: &[f64], pv: &[f64], point_s: f64) -> Cycle {
 /// # Errors
 /// [`NoPlace`] of the first effect that cannot be simulated.
 pub fn parts(model: &Model, ts_s: f64) -> Result<Parts, NoPlace> {
-    let mut parts = Parts { stroke: Stroke::FREE, around: Around::NONE, load: vec![], on_pv: vec![] };
+    let mut parts = Parts { stroke: Stroke::FREE, actuator: Actuator::NONE, load: vec![], on_pv: vec![] };
     for added in &model.effects {
         let Some(effect) = effects::by_id(&added.id) else { return Err(NoPlace::Inside(added.id.clone())) };
         (effect.in_loop)(&Stated { model, added, ts_s }, &mut parts)?;
     }
-    let clash = parts.around.pilot > 0.0 && parts.stroke != Stroke::FREE;
+    let clash = parts.actuator.lag > 0.0 && parts.stroke != Stroke::FREE;
     if clash { Err(NoPlace::Clash) } else { Ok(parts) }
 }
 
@@ -126,7 +126,7 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
         "none" => ValveLaw::None,
         _ => return None,
     };
-    let Parts { stroke, around, load, on_pv } = parts(model, *ts_s).ok()?;
+    let Parts { stroke, actuator, load, on_pv } = parts(model, *ts_s).ok()?;
     let (op, pv) = (process.op, process.pv);
     let rest = if process.integrating { op } else { op + (sp - pv) / process.gain };
     let off = START_BANDS * (valve.fs + valve.fd.abs());
@@ -157,7 +157,7 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
             travel_min: limits[0],
             travel_max: limits[1],
             stroke,
-            around,
+            actuator,
             ..ValveModel::HEALTHY
         },
         pv_noise_sd: noise_sd,
@@ -270,14 +270,14 @@ mod tests {
             let model = Model { ts_s: 7.0, ..Model::example(Some((id, numbers))) };
             (parts(&model, 2.0).unwrap(), model.process)
         };
-        let around = |id: &str, numbers: &[(&str, f64)]| with(id, numbers).0.around;
-        assert_eq!(around("rate_limit", &[("rate", 0.3)]), Around { rate: 0.6, ..Around::NONE });
+        let actuator = |id: &str, numbers: &[(&str, f64)]| with(id, numbers).0.actuator;
+        assert_eq!(actuator("rate_limit", &[("rate", 0.3)]), Actuator { rate: 0.6, ..Actuator::NONE });
         let stops = [f64::NEG_INFINITY, 60.0];
-        assert_eq!(around("travel_limit", &[("stop", 60.0), ("upper", 1.0)]), Around { stops, ..Around::NONE });
-        assert_eq!(around("backlash", &[("width", 1.5)]), Around { play: 1.5, ..Around::NONE });
-        assert_eq!(around("positioner_lag", &[("lag", 5.0)]), Around { pilot: 2.5, ..Around::NONE });
+        assert_eq!(actuator("travel_limit", &[("stop", 60.0), ("upper", 1.0)]), Actuator { stops, ..Actuator::NONE });
+        assert_eq!(actuator("backlash", &[("width", 1.5)]), Actuator { play: 1.5, ..Actuator::NONE });
+        assert_eq!(actuator("positioner_lag", &[("lag", 5.0)]), Actuator { lag: 2.5, ..Actuator::NONE });
         let (bent, process) = with("static_nonlinearity", &[("gain_change_per_op", 0.02)]);
-        assert_eq!(bent.around, Around { bend: 0.02, middle: process.op, ..Around::NONE });
+        assert_eq!(bent.actuator, Actuator { bend: 0.02, middle: process.op, ..Actuator::NONE });
         let (step, process) = with("step_load", &[("size", 3.0), ("at", 100.0)]);
         let at_input = Disturbance::Step { size: 3.0 / process.gain, at_s: 100.0 - process.dead_time_s };
         assert_eq!((step.load, step.on_pv), (vec![at_input], vec![]));

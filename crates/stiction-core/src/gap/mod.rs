@@ -3,7 +3,6 @@
 //! [`diagnose`] fits the base (He's model, first order with dead time) to the training blocks of a record, then the base with
 //! each effect of the [`effects::ALL`] catalogue, and judges them on held-out blocks.
 
-mod answer;
 mod break_away;
 pub mod budget;
 mod candidate;
@@ -34,6 +33,7 @@ mod plan;
 pub mod pool;
 pub mod probability;
 mod problem;
+mod response;
 mod schedule;
 pub mod score;
 mod search;

@@ -42,7 +42,7 @@ pub(crate) fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> O
     let mut known = ids.filter_map(|id| Some((id, lane_of(id)?)));
     let ((name, first), (rival, second)) = (known.next()?, known.next()?);
     let best = first.best.first()?;
-    let noise = made.floor.noise_floor.unwrap_or(made.base.rmse) / problem.deviation;
+    let noise = made.floor.noise_floor.unwrap_or(made.base.rmse) / problem.normalised.deviation;
     let settles = best.theta.lag + 3.0 * libm::exp(best.theta.log_tau).min(problem.period);
     let hold = settles.ceil() as usize + 2;
     let duration_s = hold as f64 * problem.point_s;
@@ -61,7 +61,7 @@ pub(crate) fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> O
         if p >= WANTED {
             return Some(NextTest {
                 signal: "op",
-                size: size * problem.span,
+                size: size * problem.normalised.span,
                 duration_s,
                 separates: [name.clone(), rival.clone()],
                 p,

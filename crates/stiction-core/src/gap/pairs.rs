@@ -56,7 +56,7 @@ pub(crate) fn run(
 fn is_hopeless(problem: &Problem, searches: &[Search], floor: Option<f64>) -> bool {
     let n = problem.target(View::Plain).len().max(1) as f64;
     let least = searches.iter().map(Search::sse).fold(f64::INFINITY, f64::min);
-    floor.is_some_and(|floor| (least / n).sqrt() * problem.deviation > HOPELESS * floor)
+    floor.is_some_and(|floor| (least / n).sqrt() * problem.normalised.deviation > HOPELESS * floor)
 }
 
 /// The two effects in alphabetical order, starting from what each found alone.

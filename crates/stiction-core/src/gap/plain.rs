@@ -1,20 +1,20 @@
-//! The plain pass over samples: the free run of a parameter vector point by point, and the best linear part for the
-//! training blocks by columns as long as they are.
+//! The plain pass over samples: process and linear part of a parameter vector point by point, by columns as long as the
+//! training blocks; the valve signal is that of [`super::valve_signal`].
 //!
-//! It says the same as [`super::evaluator`], which is held against it by a property test, and does what that cannot: a
-//! process whose rate goes with its level, the coefficients of everything linear, and the free run itself. Gain, bias,
+//! It gives the same error as [`super::evaluator`], which a property test compares with it, and does what that cannot: a
+//! process whose time constant depends on its level, the coefficients of everything linear, and the free run itself. Gain, bias,
 //! initial state and everything additive are solved exactly (variable projection, Golub and Pereyra 1973), and so is fd
 //! where the valve signal is linear in it.
 
-use super::answer::Process;
 use super::candidate::{Candidate, Linear, MAX_COLUMNS, Parameters};
 use super::plan::Plan;
 use super::problem::{Problem, View};
+use super::response::Process;
 use super::structure::Structure;
 use super::valve_signal::ValveSignal;
 use crate::ident::kinetic_band::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
-use crate::sim::actuator::Around;
+use crate::sim::actuator::Actuator;
 
 /// Initial slope of a pair of lags, that of the quicker one alone being 1, from which it counts as leading.
 const LEADS: f64 = 0.5;
@@ -205,8 +205,8 @@ impl<'a> PlainPass<'a> {
         }
     }
 
-    /// Free run over the whole record, normalised PV units, the valve signal (spans) and moves of the stem as
-    /// (point, size); `None` as for [`PlainPass::evaluate`].
+    /// Free run over the whole record, deviations of PV, and the flow ([`super::Fit::valve`]), spans; `None` where the stem
+    /// hardly moves.
     pub(crate) fn simulate(&mut self, structure: &Structure, of: &Candidate) -> Option<(Vec<f64>, Vec<f64>)> {
         self.run_plan(&structure.plan(&of.theta), of, of.linear)
     }
@@ -237,9 +237,12 @@ impl<'a> PlainPass<'a> {
         let linear = pass.begun_within_reason(plan, linear);
         let mut out = Vec::new();
         pass.combine(plan, others, theta.fd, &linear, &mut out);
-        // What flows before the characteristic, when it flows.
-        let around = Around { bend: 0.0, ..plan.around };
-        pass.run_valve(&Plan { around, switch: None, drift: None, ..*plan }, &mut theta)?;
+        // The flow before the characteristic, without drift and change of dead time.
+        let actuator = Actuator { bend: 0.0, ..plan.actuator };
+        let before = Plan { actuator, switch: None, drift: None, ..*plan };
+        if before != *plan {
+            pass.run_valve(&before, &mut theta)?;
+        }
         let [mut valve, direction] = pass.valve;
         valve.iter_mut().zip(&direction).for_each(|(v, d)| *v -= theta.fd * d);
         Some((out, valve))

@@ -6,7 +6,7 @@
 
 use crate::ident::class::Class;
 use crate::ident::normalised::SlipEnd;
-use crate::sim::actuator::Around;
+use crate::sim::actuator::Actuator;
 use crate::sim::process::separated;
 use crate::sim::slips::{Law, Stroke};
 
@@ -60,7 +60,7 @@ pub struct Plan {
     /// Uneven bands, and stops that the stem itself meets, spans.
     pub stroke: Stroke,
     /// What stands around the stem, points and spans.
-    pub around: Around,
+    pub actuator: Actuator,
     /// Share by which gain and time constant grow with the valve signal, for each span.
     pub level: f64,
     /// The gain drifts over the record.
@@ -104,7 +104,7 @@ impl Plan {
             law,
             overshoot: false,
             stroke: Stroke::FREE,
-            around: Around::NONE,
+            actuator: Actuator::NONE,
             level: 0.0,
             drift: None,
             tau2: 0.0,
@@ -129,7 +129,7 @@ impl Plan {
     /// Whether something stands behind the stem that changes its signal.
     #[must_use]
     pub(crate) fn shapes_signal(&self) -> bool {
-        self.around.shapes_flow() || self.switch.is_some() || self.drift.is_some()
+        self.actuator.shapes_flow() || self.switch.is_some() || self.drift.is_some()
     }
 
     /// The class of process that the search of [`crate::ident`] knows it by.
@@ -145,7 +145,7 @@ impl Plan {
     /// Whether the valve signal is linear in fd, `at - fd * direction`.
     #[must_use]
     pub(crate) fn is_linear_in_fd(&self) -> bool {
-        self.law.is_some() && !self.around.shapes_flow() && self.level == 0.0 && !self.zero
+        self.law.is_some() && !self.actuator.shapes_flow() && self.level == 0.0 && !self.zero
     }
 
     /// Where the linear coefficients of a part stand among those of the other columns, which the evaluator makes in this

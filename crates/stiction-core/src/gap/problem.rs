@@ -54,12 +54,8 @@ pub struct Problem {
     pub period: f64,
     /// Whether it oscillates regularly.
     pub oscillates: bool,
-    /// OP units in a span, its middle; PV units in a deviation, PV's mean.
-    pub span: f64,
     /// Middle of OP, OP units.
     pub op_middle: f64,
-    /// Standard deviation of PV, PV units.
-    pub deviation: f64,
     /// Mean of PV, PV units.
     pub pv_mean: f64,
     /// Seconds a point, seconds a raw sample, raw samples a point.
@@ -119,9 +115,7 @@ impl Problem {
             sign,
             period,
             oscillates,
-            span,
             op_middle: stats::mean(&record.op_path),
-            deviation,
             pv_mean: stats::mean(&record.pv),
             point_s: record.point_s(),
             box_samples: record.box_samples as f64,

@@ -82,7 +82,9 @@ impl Work<'_> {
                 *slot = Some(made);
             }
         });
-        slots.into_iter().filter_map(|slot| slot.into_inner().ok().flatten()).collect()
+        let made: Vec<T> = slots.into_iter().filter_map(|slot| slot.into_inner().ok().flatten()).collect();
+        assert!(made.len() == jobs, "the executor ran {} of {jobs} jobs", made.len());
+        made
     }
 
     /// Responses that are left of the budget.
@@ -244,7 +246,7 @@ fn is_explained(problem: &Problem, search: &Search, floor: Option<f64>) -> bool 
 
 /// Whether what is left is within a factor of the floor, white or not.
 fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>, within: f64) -> bool {
-    floor.is_some_and(|floor| rms(left, &problem.train) * problem.deviation <= within * floor)
+    floor.is_some_and(|floor| rms(left, &problem.train) * problem.normalised.deviation <= within * floor)
 }
 
 /// What a search's best candidate leaves of PV at each point, deviations.

@@ -87,8 +87,8 @@ pub(crate) fn search_slips(problem: &Problem, search: &Search, length: Length, s
 /// The record as the search for a plan's slips sees it; `None` where the search's best has no free run.
 fn normalised_of(problem: &Problem, search: &Search, plan: &Plan) -> Option<NormalisedRecord> {
     let mut normalised = problem.normalised.clone();
-    if plan.around.pilot > 0.0 {
-        let path = lag_path(&normalised.path, plan.around.pilot);
+    if plan.actuator.lag > 0.0 {
+        let path = lag_path(&normalised.path, plan.actuator.lag);
         normalised.mean = box_means(path.values(), path.per_point());
         normalised.extremes = NormalisedRecord::running_extremes(path.values());
         normalised.path = Arc::new(path);

@@ -102,7 +102,7 @@ fn ranked(problem: &Problem, base: &Search, searches: &[Search], floor: Option<f
         .filter_map(|search| {
             let effect = search.structure.each().next()?;
             let evidence = own - score(search)? - effect.margin + effects::MARGIN;
-            let error = (search.sse() / n).sqrt() * problem.deviation;
+            let error = (search.sse() / n).sqrt() * problem.normalised.deviation;
             Some(OnMv { id: effect.id.to_owned(), evidence, over_floor: floor.map(|f| error / f) })
         })
         .collect();

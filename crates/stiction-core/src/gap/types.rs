@@ -65,9 +65,11 @@ impl Default for GapOptions {
     }
 }
 
-/// Execution of the work: the caller supplies threads and a clock; results depend on neither.
+/// Execution of the work: the caller supplies threads and a clock; results depend on neither. A scope of threads
+/// (`std::thread::scope`) fits, because jobs borrow.
 pub trait Executor: Sync {
-    /// Runs `job(0)` to `job(jobs - 1)` in any order and returns when all are done.
+    /// Runs each of `job(0)` to `job(jobs - 1)` once, in any order, and returns when all are done; a panic of a job is passed
+    /// on.
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync));
     /// Called between rounds with the number of evaluations; returning false ends the search with the results so far.
     fn tick(&self, done: u64) -> bool;
@@ -242,7 +244,7 @@ pub struct Fit {
     pub id: String,
     /// The model in recorded units.
     pub model: Model,
-    /// Valve signal at each point, OP units: the input of the process.
+    /// Flow at each point, OP units: before the valve's characteristic, without drift and change of dead time.
     pub valve: Vec<f64>,
     /// Movements of the stem in time order.
     pub slips: Vec<Slip>,

@@ -71,14 +71,14 @@ impl ValveSignal {
 
     /// OP on its way to the stem.
     fn path(&mut self, problem: &Problem, plan: &Plan) -> Arc<Path> {
-        if plan.around.pilot <= 0.0 {
+        if plan.actuator.lag <= 0.0 {
             return Arc::clone(&problem.normalised.path);
         }
-        let key = plan.around.pilot.to_bits();
+        let key = plan.actuator.lag.to_bits();
         if let Some(at) = self.paths.iter().position(|(k, _)| *k == key) {
             return Arc::clone(&self.paths[at].1);
         }
-        let made = Arc::new(lag_path(&problem.normalised.path, plan.around.pilot));
+        let made = Arc::new(lag_path(&problem.normalised.path, plan.actuator.lag));
         if self.paths.len() == PATHS {
             self.paths.remove(0);
         }
@@ -108,7 +108,7 @@ struct Behind {
 
 impl Behind {
     /// Turns the steps of a stem that begins at `start` into those of the signal that the process gets, with this fd where
-    /// the signal is not linear in it, and answers where that begins; `points` of the `whole` record are wanted.
+    /// the signal is not linear in it, and returns its first level and direction; `points` of the `whole` record are wanted.
     fn shape(
         &mut self,
         plan: &Plan,
@@ -120,7 +120,7 @@ impl Behind {
     ) -> [f64; 2] {
         let mut start = start;
         // Side by side, two lags leave fd open: it is found with their gains.
-        if !plan.is_linear_in_fd() && (!plan.zero || plan.around.shapes_flow()) {
+        if !plan.is_linear_in_fd() && (!plan.zero || plan.actuator.shapes_flow()) {
             start = [self.follow(plan, steps, start, fd, points), 0.0];
             freedom.fd = [0.0; 2];
             freedom.fd_default = 0.0;
@@ -145,13 +145,13 @@ impl Behind {
         let first = list.partition_point(|s| s.point == 0);
         stem += list[..first].iter().map(|s| s.level - fd * s.direction).sum::<f64>();
         let mut memory = [stem; 2];
-        let at_first = plan.around.flow(stem, &mut memory);
+        let at_first = plan.actuator.flow(stem, &mut memory);
         let mut last = at_first;
         for (m, step) in list.iter().enumerate().skip(first) {
             stem += step.level - fd * step.direction;
             let until = list.get(m + 1).map_or(n, |s| s.point as usize);
             for k in step.point as usize..until {
-                let now = plan.around.flow(stem, &mut memory);
+                let now = plan.actuator.flow(stem, &mut memory);
                 if now != last {
                     out.push(Step { point: k as u32, level: now - last, direction: 0.0 });
                     last = now;
@@ -209,7 +209,7 @@ impl Behind {
         self.work = list;
     }
 
-    /// A gain that drifts: the signal times its course. Answers where it begins.
+    /// A gain that drifts: the signal times its course. Returns its first level and direction.
     fn drift(&mut self, drift: Drift, steps: &mut Steps, start: [f64; 2], [points, whole]: [usize; 2]) -> [f64; 2] {
         steps.sample(start, points, &mut self.samples);
         let [level, direction] = &mut self.samples;
@@ -252,54 +252,100 @@ fn switch_of(time: f64, more: f64, n: usize) -> (i64, i64, f64) {
 mod tests {
     use super::*;
     use crate::gap::candidate::MAX_PARAMS;
+    use crate::gap::effects;
+    use crate::gap::plain::PlainPass;
     use crate::gap::plain::tests::made_by;
+    use crate::gap::problem::View;
     use crate::gap::structure::Structure;
-    use crate::sim::actuator::Around;
-    use crate::sim::slips::Law;
+    use crate::sim::actuator::Actuator;
+    use crate::sim::slips::by_sample::Sequence;
+    use crate::sim::slips::{Law, Stroke};
 
-    /// The valve signal of a plan whose kinetic band is `fd`, sample by sample.
-    fn samples(problem: &Problem, plan: &Plan, theta: &Parameters, fd: f64) -> Vec<f64> {
+    /// The signal that a plan makes, sample by sample.
+    fn made(problem: &Problem, plan: &Plan, theta: &Parameters) -> Vec<f64> {
         let mut signal = ValveSignal::default();
-        signal.make(problem, plan, &mut theta.clone(), 1.0).unwrap();
+        let mut theta = *theta;
+        signal.make(problem, plan, &mut theta, 1.0).unwrap();
         let mut samples = [Vec::new(), Vec::new()];
         signal.sample(problem.n(), &mut samples);
-        let [level, direction] = samples;
-        level.iter().zip(&direction).map(|(level, direction)| level - fd * direction).collect()
+        let fd = if plan.is_linear_in_fd() { theta.fd } else { 0.0 };
+        samples[0].iter().zip(&samples[1]).map(|(level, direction)| level - fd * direction).collect()
+    }
+
+    /// The stem by the law itself, OP value by OP value.
+    fn stem(problem: &Problem, plan: &Plan, theta: &Parameters) -> Vec<f64> {
+        let op = &problem.normalised.path;
+        let lagged = lag_path(op, plan.actuator.lag.max(1e-9));
+        let path = if plan.actuator.lag > 0.0 { &lagged } else { &**op };
+        let m = path.per_point();
+        let Some(law) = plan.law else {
+            return path.values().chunks_exact(m).map(|point| point.iter().sum::<f64>() / m as f64).collect();
+        };
+        let made = Sequence::of(plan.stroke, law, path.values(), m, [theta.s, theta.j], theta.first);
+        made.at.iter().zip(&made.direction).map(|(at, direction)| at - theta.fd * direction).collect()
+    }
+
+    /// What a plan has behind the stem, sample by sample.
+    fn behind(plan: &Plan, stem: &[f64]) -> Vec<f64> {
+        let (n, mut memory) = (stem.len(), [stem[0]; 2]);
+        let flow: Vec<f64> = stem.iter().map(|v| plan.actuator.flow(*v, &mut memory)).collect();
+        let later = |k: usize| {
+            let [at, more] = plan.switch.unwrap_or([n as f64, 0.0]);
+            let back = if k as f64 >= at { more } else { 0.0 };
+            let value = |back: f64| flow[(k as f64 - back).clamp(0.0, n as f64 - 1.0) as usize];
+            let part = back - back.floor();
+            (1.0 - part) * value(back.floor()) + part * value(back.floor() + 1.0)
+        };
+        let gain: Vec<f64> =
+            plan.drift.map_or_else(|| vec![1.0; n], |d| d.course(n).map(|x| 1.0 + d.change * x).collect());
+        (0..n).map(|k| gain[k] * later(k)).collect()
     }
 
     #[test]
-    fn what_stands_behind_the_stem_acts_on_every_sample_in_its_order() {
-        let base = Plan::base(Some(Law::He));
-        let (problem, theta) = made_by(&Structure::base(base.law), [0.0; MAX_PARAMS]);
-        let n = problem.n();
-        let stem = samples(&problem, &base, &theta, theta.fd);
-        let around = [
-            Around::NONE,
-            Around { rate: 0.02, ..Around::NONE },
-            Around { stops: [-0.3, 0.25], play: 0.08, ..Around::NONE },
-            Around { rate: 0.05, bend: 0.7, ..Around::NONE },
+    fn the_signal_is_that_of_every_part_sample_by_sample_in_its_order() {
+        let (problem, theta) = made_by(&Structure::base(Some(Law::He)), [0.0; MAX_PARAMS]);
+        let actuators = [
+            Actuator::NONE,
+            Actuator { lag: 3.0, ..Actuator::NONE },
+            Actuator { lag: 1.5, rate: 0.02, ..Actuator::NONE },
+            Actuator { stops: [-0.3, 0.25], play: 0.08, ..Actuator::NONE },
+            Actuator { rate: 0.05, bend: 0.7, ..Actuator::NONE },
+        ];
+        let valves = [
+            (None, Stroke::FREE),
+            (Some(Law::He), Stroke::FREE),
+            (Some(Law::He), Stroke { uneven: 0.2, ..Stroke::FREE }),
+            (Some(Law::Tracking), Stroke::FREE),
         ];
         let drift = Drift { change: 0.6, by_factor: true };
-        let late = [None, Some([300.0, 4.3]), Some([222.0, -2.6])];
-        for (around, switch) in around.into_iter().flat_map(|around| late.map(|late| (around, late))) {
-            for drift in [None, Some(drift)] {
-                let mut memory = [stem[0]; 2];
-                let flow: Vec<f64> = stem.iter().map(|v| around.flow(*v, &mut memory)).collect();
-                let later = |k: usize| {
-                    let [at, more] = switch.unwrap_or([n as f64, 0.0]);
-                    let back = if k as f64 >= at { more } else { 0.0 };
-                    let value = |back: f64| flow[(k as f64 - back).clamp(0.0, n as f64 - 1.0) as usize];
-                    let part = back - back.floor();
-                    (1.0 - part) * value(back.floor()) + part * value(back.floor() + 1.0)
-                };
-                let gain = |k: usize| drift.map_or(1.0, |d: Drift| 1.0 + d.change * d.course(n).nth(k).unwrap());
-                let plan = Plan { around, switch, drift, ..base };
-                let fd = if plan.is_linear_in_fd() { theta.fd } else { 0.0 };
-                let made = samples(&problem, &plan, &theta, fd);
-                let farthest = |k: &usize| (made[*k] - gain(*k) * later(*k)).abs();
-                let worst = (0..n).max_by(|a, b| farthest(a).total_cmp(&farthest(b))).unwrap();
-                assert!(farthest(&worst) < 1e-9, "{plan:?} at {worst}: {}", farthest(&worst));
+        for (law, stroke) in valves {
+            for actuator in actuators {
+                for (switch, drift) in
+                    [(None, None), (Some([300.0, 4.3]), Some(drift)), (Some([222.0, -2.6]), None), (None, Some(drift))]
+                {
+                    let plan = Plan { stroke, actuator, switch, drift, ..Plan::base(law) };
+                    let expected = behind(&plan, &stem(&problem, &plan, &theta));
+                    let made = made(&problem, &plan, &theta);
+                    for (k, (made, expected)) in made.iter().zip(&expected).enumerate() {
+                        assert!((made - expected).abs() < 1e-9, "{plan:?} at {k}: {made} {expected}");
+                    }
+                }
             }
         }
+    }
+
+    #[test]
+    fn the_flow_of_a_fit_is_that_before_the_dead_time_changes() {
+        let base = Structure::base(Some(Law::He));
+        let (problem, theta) = made_by(&base, [0.0; MAX_PARAMS]);
+        let mut pass = PlainPass::new(&problem, 1.0);
+        let of = pass.evaluate(&base, &theta, View::Plain).unwrap();
+        let (run, flow) = pass.simulate(&base, &of).unwrap();
+        let changed = Structure::with(Some(Law::He), effects::by_id("dead_time_change").unwrap());
+        let mut later = of;
+        later.theta.p[..2].copy_from_slice(&[350.0, 6.0]);
+        let (later_run, later_flow) = pass.simulate(&changed, &later).unwrap();
+        assert_eq!(flow, later_flow);
+        assert!(run[..350] == later_run[..350] && run[400..] != later_run[400..]);
     }
 }

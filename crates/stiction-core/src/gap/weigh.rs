@@ -48,7 +48,7 @@ pub struct Scales<'a> {
 impl Scales<'_> {
     /// PV as recorded.
     fn pv(&self) -> impl Iterator<Item = f64> + '_ {
-        self.problem.normalised.pv.iter().map(|y| y * self.problem.deviation + self.problem.pv_mean)
+        self.problem.normalised.pv.iter().map(|y| y * self.problem.normalised.deviation + self.problem.pv_mean)
     }
 
     /// Log mean squared training error after BIC, of a squared error and a number of parameters.
@@ -224,7 +224,7 @@ pub(crate) fn leaves_noise(problem: &Problem, search: &Search, floor: Option<f64
     let Some(left) = residual_of(problem, search) else { return true };
     let counts = |k: &usize| !problem.blocks.masked[*k] && problem.is_measured(*k);
     let points = (problem.blocks.from..problem.n()).filter(counts);
-    let rest = Rest { points: points.map(|k| (k as f64, left[k] * problem.deviation / floor)).collect() };
+    let rest = Rest { points: points.map(|k| (k as f64, left[k] * problem.normalised.deviation / floor)).collect() };
     let plan = search.structure.plan(&best.theta);
     search.structure.each().all(|e| (e.leaves_noise)(&plan, &rest))
 }

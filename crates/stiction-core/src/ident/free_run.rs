@@ -7,6 +7,7 @@ use super::choice::Options;
 use super::class::{Class, Limits, Shape};
 use super::least_squares::Gram;
 use super::model::Model;
+use super::no_fit::LEAST_POINTS;
 use super::normalised::{NormalisedRecord, Start};
 use crate::record::Record;
 use crate::signal::stats;
@@ -14,8 +15,6 @@ use crate::sim::slips::Law;
 
 /// Most first slips that are tried in either direction.
 const STARTS: usize = 256;
-/// Fewest points from which an error is told.
-const LEAST: usize = 30;
 
 /// What a free run left.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,7 +42,7 @@ pub fn free_run(record: &Record, model: &Model, after_ns: i64) -> Option<FreeRun
     let from = normalised.from.max(class.lag(&shape).ceil() as usize + 1).max(new);
     let point_gain = if model.integrating { model.gain * record.point_s() } else { model.gain };
     let coefficient = point_gain * span / deviation / class.gain(1.0);
-    if from + LEAST > record.len() || !coefficient.is_finite() {
+    if from + LEAST_POINTS > record.len() || !coefficient.is_finite() {
         return None;
     }
     let run = Run { normalised: &normalised, class, shape, coefficient, from };

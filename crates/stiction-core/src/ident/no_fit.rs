@@ -6,7 +6,7 @@ use crate::record::Record;
 use crate::signal::stats;
 
 /// Fewest points of a fit.
-const LEAST_POINTS: usize = 30;
+pub(super) const LEAST_POINTS: usize = 30;
 
 /// Why there is no fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
@@ -14,25 +14,30 @@ pub enum NoFit {
     /// Too few points.
     #[error("the record has {0} points, and a fit needs {LEAST_POINTS}; choose a longer window")]
     TooShort(usize),
-    /// OP is constant or not finite.
-    #[error("OP does not move, or is not a number; choose a window in which the controller acts")]
+    /// OP or PV has a value that is not finite.
+    #[error("a value of OP or PV is not a number; leave it out, or fill it in")]
+    NotFinite,
+    /// OP is constant.
+    #[error("OP is constant over 99 % of the record or more; choose a window in which the controller acts")]
     ConstantOp,
-    /// PV is constant or not finite.
-    #[error("PV does not move, or is not a number; choose a window in which it does")]
+    /// PV is constant.
+    #[error("PV is constant; choose a window in which it moves")]
     ConstantPv,
-    /// No process behind a valve explains any of PV.
-    #[error("no process follows OP through a valve in this record; choose a window in which OP moves more")]
+    /// No model explains any of PV.
+    #[error("no model of valve and process fits this record; choose a window in which OP moves more")]
     NoModel,
 }
 
 impl NoFit {
-    /// Whether a record lacks what every fit needs.
+    /// Checks that a record can be fitted.
     ///
     /// # Errors
     /// What it lacks.
     pub(super) fn check(record: &Record) -> Result<(), Self> {
         if record.len() < LEAST_POINTS {
             Err(Self::TooShort(record.len()))
+        } else if !record.op_path.iter().chain(&record.pv).all(|x| x.is_finite()) {
+            Err(Self::NotFinite)
         } else if !stats::span(&record.op_path).is_normal() {
             Err(Self::ConstantOp)
         } else if !stats::std_dev(&record.pv).is_normal() {
@@ -54,7 +59,11 @@ mod tests {
         let fit = |op: Vec<f64>, pv: Vec<f64>| quantify(&Record::uniform(1.0, op, pv), &Options::default()).err();
         assert_eq!(fit(wave(29, 0.3), wave(29, 0.3)), Some(NoFit::TooShort(29)));
         assert_eq!(fit(vec![1.0; 90], wave(90, 0.3)), Some(NoFit::ConstantOp));
-        assert_eq!(fit(wave(90, 0.3), vec![f64::NAN; 90]), Some(NoFit::ConstantPv));
+        assert_eq!(fit(wave(90, 0.3), vec![2.0; 90]), Some(NoFit::ConstantPv));
+        let (mut broken, mut pulse) = (wave(900, 0.1), vec![1.0; 900]);
+        (broken[450], pulse[450]) = (f64::NAN, 2.0);
+        assert_eq!(fit(broken, wave(900, 0.1)), Some(NoFit::NotFinite));
+        assert_eq!(fit(pulse, wave(900, 0.1)), Some(NoFit::ConstantOp));
         assert_eq!(fit(wave(400, 0.1), wave(400, 0.1)), None);
     }
 }

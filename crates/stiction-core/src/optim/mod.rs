@@ -20,8 +20,8 @@ use serde::Serialize;
 
 /// The function to minimise.
 pub trait Objective {
-    /// Cost of the point `[s, j]`; lower is better, infinite if no model exists. Points outside the triangle are never
-    /// evaluated.
+    /// Cost of the point `[s, j]`, shares of OP's span with `s = fs + fd` and `j = fs - fd`: lower is better, infinite if no
+    /// model exists. A solver stays inside the triangle `0 <= j <= s <= 1` and within its budget.
     fn cost(&mut self, point: [f64; 2]) -> f64;
 }
 

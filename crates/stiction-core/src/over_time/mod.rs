@@ -122,8 +122,8 @@ pub struct Trend {
 
 /// Combines the windows of one valve, given in any order.
 ///
-/// A window counts if it has an answer (`stiction` is not `None`) and a positive duration. Overlapping windows share the
-/// weight of the overlap, so a shorter hop does not add confidence.
+/// A window counts if it has an answer (`stiction` is not `None`) and a positive duration; of windows with the same end the
+/// last one given counts. Overlapping windows share the weight of the overlap, so a shorter hop does not add confidence.
 #[must_use]
 pub fn over_time(windows: &[WindowResult]) -> OverTime {
     let history = window::History::of(windows);

@@ -101,5 +101,7 @@ fn the_loop_behaves_as_its_plant_with_the_valve_stuck_and_repaired() {
     let near = |figure: Figure, truth: f64| (figure.value / truth - 1.0).abs() < 0.1;
     assert!(near(found.now.pv_sd, sd(&record)), "{:?} {}", found.now.pv_sd, sd(&record));
     assert!(found.now.oscillates == Some(true) && found.repaired.oscillates == Some(false));
-    assert!(found.repaired.pv_sd.value < 1.5 * sd(&healthy), "{:?} {}", found.repaired.pv_sd, sd(&healthy));
+    // Part of what is left may be model error, which a repair would take away, too.
+    let repaired = found.repaired.pv_sd.value / sd(&healthy);
+    assert!((0.6..1.6).contains(&repaired), "{:?} {}", found.repaired.pv_sd, sd(&healthy));
 }

@@ -40,7 +40,7 @@ const MAX_PATIENCE: f64 = 2000.0;
 /// Convention of quality codes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Quality {
-    /// OPC UA status codes: the two upper bits are 0 for good.
+    /// OPC UA status codes: the two upper bits are 0 for good. Codes of classic OPC all look good by this convention.
     #[default]
     Ua,
     /// Classic OPC: 192 to 255 are good.
@@ -63,7 +63,7 @@ impl Quality {
 pub struct AlignParams {
     /// Allowed lateness of a sample, ns.
     pub lateness_ns: i64,
-    /// Longest gap that is filled, s; 0 means five sampling times.
+    /// Longest gap that is filled, and longest time for which a value is held, s; 0 means five sampling times.
     pub max_gap_s: f64,
     /// Convention of quality codes.
     pub quality: Quality,
@@ -533,7 +533,8 @@ impl Aligner {
     }
 }
 
-/// Aligns a whole recording of one loop to its stretches of points, oldest first.
+/// Aligns a whole recording of one loop to its stretches of points, oldest first. The samples come in about the order of
+/// their timestamps, all signals together: what is older than the latest by more than the lateness is dropped, and counted as late.
 #[must_use]
 pub fn align_all(samples: &[Sample], params: &AlignParams) -> (Vec<Vec<Point>>, AlignCounts) {
     let mut aligner = Aligner::new();

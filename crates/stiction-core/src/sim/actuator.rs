@@ -7,9 +7,9 @@ const PARTS: usize = 5;
 
 /// The surroundings of a stem and its friction, value by value.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Around {
+pub struct Actuator {
     /// Time constant of the actuator, values; 0 for none.
-    pub pilot: f64,
+    pub lag: f64,
     /// Largest speed of the output, OP units per value.
     pub rate: f64,
     /// Limits of the output, OP units.
@@ -22,10 +22,10 @@ pub struct Around {
     pub middle: f64,
 }
 
-impl Around {
+impl Actuator {
     /// Nothing.
     pub const NONE: Self = Self {
-        pilot: 0.0,
+        lag: 0.0,
         rate: f64::INFINITY,
         stops: [f64::NEG_INFINITY, f64::INFINITY],
         play: 0.0,
@@ -36,7 +36,7 @@ impl Around {
     /// The actuator's positions in the parts of a value for which OP is held, and its position at the end.
     #[must_use]
     pub(crate) fn drives(&self, drive: f64, op: f64) -> ([f64; PARTS], f64) {
-        let step = 1.0 / (self.pilot * PARTS as f64).max(1e-3);
+        let step = 1.0 / (self.lag * PARTS as f64).max(1e-3);
         let after = |parts: f64| op + (drive - op) * libm::exp(-step * parts);
         (core::array::from_fn(|i| after(i as f64 + 0.5)), after(PARTS as f64))
     }
@@ -44,7 +44,7 @@ impl Around {
     /// Whether something behind the stem changes its signal.
     #[must_use]
     pub(crate) fn shapes_flow(&self) -> bool {
-        Self { pilot: 0.0, ..*self } != Self::NONE
+        Self { lag: 0.0, ..*self } != Self::NONE
     }
 
     /// The flow for a stem at `position`, with the state of the parts behind it.
@@ -63,7 +63,7 @@ impl Around {
     }
 }
 
-impl Default for Around {
+impl Default for Actuator {
     fn default() -> Self {
         Self::NONE
     }
@@ -138,26 +138,26 @@ mod tests {
 
     #[test]
     fn what_stands_around_a_stem_acts_in_its_order() {
-        let around = Around { rate: 2.0, stops: [0.0, 5.0], play: 1.0, bend: 0.1, middle: 3.0, ..Around::NONE };
+        let actuator = Actuator { rate: 2.0, stops: [0.0, 5.0], play: 1.0, bend: 0.1, middle: 3.0, ..Actuator::NONE };
         let mut memory = [1.0, 1.0];
         // Up by 2 to 3, then by 2 to the stop at 5, each time half the play behind.
-        let flows = [9.0, 9.0, 9.0].map(|x| around.flow(x, &mut memory));
+        let flows = [9.0, 9.0, 9.0].map(|x| actuator.flow(x, &mut memory));
         let flow = |v: f64| 3.0 + libm::expm1(0.1 * (v - 3.0)) / 0.1;
         assert_eq!(flows, [flow(2.5), flow(4.5), flow(4.5)]);
         // Counted from elsewhere it is the same curve, but for its gain and a constant.
-        let (other, gain) = Around { bend: 0.1, middle: 3.0, ..Around::NONE }.counted_from(7.0);
-        let way = |a: Around| a.flow(9.0, &mut [9.0; 2]) - a.flow(4.0, &mut [4.0; 2]);
-        assert!((gain * way(other) - way(Around { bend: 0.1, middle: 3.0, ..Around::NONE })).abs() < 1e-12);
-        assert_eq!(Around::NONE.flow(7.25, &mut [0.0; 2]), 7.25);
+        let (other, gain) = Actuator { bend: 0.1, middle: 3.0, ..Actuator::NONE }.counted_from(7.0);
+        let way = |a: Actuator| a.flow(9.0, &mut [9.0; 2]) - a.flow(4.0, &mut [4.0; 2]);
+        assert!((gain * way(other) - way(Actuator { bend: 0.1, middle: 3.0, ..Actuator::NONE })).abs() < 1e-12);
+        assert_eq!(Actuator::NONE.flow(7.25, &mut [0.0; 2]), 7.25);
     }
 
     #[test]
     fn a_drive_is_the_lagged_path_value_by_value() {
         let op: Vec<f64> = (0..30).map(|k| libm::sin(f64::from(k) * 0.3)).collect();
         let path = lag_path(&Path::new(op.clone(), 1), 4.0);
-        let (around, mut drive) = (Around { pilot: 4.0, ..Around::NONE }, op[0]);
+        let (actuator, mut drive) = (Actuator { lag: 4.0, ..Actuator::NONE }, op[0]);
         for (op, path) in op.iter().zip(path.values().chunks_exact(PARTS)) {
-            let (drives, next) = around.drives(drive, *op);
+            let (drives, next) = actuator.drives(drive, *op);
             assert!(drives.iter().zip(path).all(|(a, b)| (a - b).abs() < 1e-12));
             drive = next;
         }

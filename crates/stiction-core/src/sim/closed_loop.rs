@@ -1,7 +1,7 @@
 //! A control loop, scan by scan: PV is measured, the controller computes OP, the valve follows according to its friction, and
 //! the process responds to the valve until the next scan.
 
-use super::actuator::Around;
+use super::actuator::Actuator;
 use super::controller::{Pid, PidSettings};
 use super::disturbance::{Disturbance, DisturbanceState};
 use super::friction::{Friction, FrictionState};
@@ -10,6 +10,7 @@ use super::process::{ProcessModel, ProcessState};
 use super::slips::{self, Law, Stroke};
 use super::valve::{Tracking, he_step, tracking_step};
 use crate::record::Record;
+use crate::units::ns_from_s;
 
 /// Valve model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
@@ -42,7 +43,7 @@ pub struct ValveModel {
     /// What the stem has beside its law.
     pub stroke: Stroke,
     /// What stands around it.
-    pub around: Around,
+    pub actuator: Actuator,
     /// Friction of the physical valve; the laws do without.
     pub friction: Friction,
 }
@@ -91,7 +92,7 @@ impl ValveModel {
         travel_min: 0.0,
         travel_max: 100.0,
         stroke: Stroke::FREE,
-        around: Around::NONE,
+        actuator: Actuator::NONE,
         friction: Friction::NONE,
     };
 
@@ -99,20 +100,20 @@ impl ValveModel {
     #[must_use]
     pub fn step(&self, stem: Stem, op: f64) -> Stem {
         let op = op.clamp(self.travel_min, self.travel_max);
-        if self.around.pilot == 0.0 {
+        if self.actuator.lag == 0.0 {
             let mut next = self.move_stem(stem, op);
             next.mean = next.position;
-            next.flow = self.around.flow(next.mean, &mut next.follows);
+            next.flow = self.actuator.flow(next.mean, &mut next.follows);
             return next;
         }
         // What drives the stem moves on between two scans; the mean over the scan flows.
-        let (drives, drive) = self.around.drives(stem.drive, op);
+        let (drives, drive) = self.actuator.drives(stem.drive, op);
         let mut next = Stem { drive, mean: 0.0, ..stem };
         for op in drives {
             next = self.move_stem(next, op);
             next.mean += next.position / drives.len() as f64;
         }
-        next.flow = self.around.flow(next.mean, &mut next.follows);
+        next.flow = self.actuator.flow(next.mean, &mut next.follows);
         next
     }
 
@@ -238,7 +239,7 @@ impl ClosedLoop {
     }
 
     /// Switches back to automatic.
-    pub(crate) const fn set_auto(&mut self) {
+    pub const fn set_auto(&mut self) {
         self.pid.set_auto();
     }
 
@@ -269,9 +270,11 @@ impl ClosedLoop {
 
     /// The next `n` scans at a constant set point as a [`Record`] with set point and valve position, unquantised.
     pub fn record(&mut self, n: usize, sp: f64) -> Record {
+        let start_ns = ns_from_s(self.t_s);
         let scans: Vec<Scan> = (0..n).map(|_| self.step(sp)).collect();
         let column = |pick: fn(&Scan) -> f64| -> Vec<f64> { scans.iter().map(pick).collect() };
         let mut record = Record::uniform(self.model.ts_s, column(|s| s.op), column(|s| s.pv));
+        (record.start_ns, record.end_ns) = (start_ns, start_ns + record.end_ns);
         record.sp = Some(column(|s| s.sp));
         record.mv = Some(column(|s| s.mv));
         record.facts.manual = scans.iter().filter(|s| s.manual).count() as u32;

@@ -25,7 +25,7 @@
 use serde::Deserialize;
 use thiserror::Error;
 
-use super::actuator::Around;
+use super::actuator::Actuator;
 use super::closed_loop::{LoopModel, ValveLaw, ValveModel};
 use super::controller::{Action, PidSettings};
 use super::disturbance::Disturbance;
@@ -253,12 +253,12 @@ pub struct ValveSpec {
     pub stroke: Stroke,
     /// Parts around the stem; only from a model file.
     #[serde(skip)]
-    pub around: Around,
+    pub actuator: Actuator,
 }
 
 impl Default for ValveSpec {
     fn default() -> Self {
-        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, stroke: Stroke::FREE, around: Around::NONE }
+        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, stroke: Stroke::FREE, actuator: Actuator::NONE }
     }
 }
 
@@ -435,7 +435,7 @@ impl LoopSpec {
                 travel_min: op_min.min(0.0),
                 travel_max: op_max.max(100.0),
                 stroke: self.valve.stroke,
-                around: self.valve.around,
+                actuator: self.valve.actuator,
                 ..ValveModel::HEALTHY
             },
             pv_noise_sd: self.noise.pv_sd,

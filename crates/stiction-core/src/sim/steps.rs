@@ -10,7 +10,7 @@ use super::slips::{FirstSlip, Law, Stem, Stroke};
 const BLOCK: usize = 16;
 
 /// OP path, prepared for [`Steps::run`].
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Path {
     values: Vec<f64>,
     /// Minimum and maximum from each value to the end of its block.

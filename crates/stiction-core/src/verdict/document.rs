@@ -325,50 +325,79 @@ pub struct Controller {
 /// Everything in an estimate that depends on its window alone. The field order is that of the document.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[allow(missing_docs)] // each field is defined in the table of docs/verdicts.md and by its type
 pub struct Assessment {
+    /// The window.
     pub window: Window,
+    /// The oscillation of OP and PV.
     pub oscillation: Oscillation,
+    /// The verdict.
     pub verdict: Verdict,
+    /// Causes that contribute beside the verdict.
     pub contributing: Vec<Verdict>,
+    /// Whether the valve sticks; `None` if the window is inconclusive.
     pub stiction: Option<bool>,
     /// Why there is no answer: the first blocking validity check, `too_coarse` or `too_few_periods` (sticking is likely, but not
     /// enough for an alarm), `stuck_signal` (PV is constant while OP moves), `not_fitted`, `implausible_model` (no plausible
     /// model), `daily_cycle`, `trend` or `op_held` (OP is stored too rarely to show the valve's input); `masked` (an oscillation that it shares with other
     /// loops hides the valve's state); or why there is only a verdict: `screened` (a calm loop, for which nothing else was computed).
     pub reason: Option<&'static str>,
+    /// Probability of stiction, 0..1; `None` behind a blocking validity check.
     pub p_stiction: Option<f64>,
+    /// The larger of p and 1 - p; `None` where `stiction` is.
     pub confidence: Option<f64>,
+    /// Validity checks that the window did not pass.
     pub gates: Vec<Gate>,
     /// Implausible properties of the model or the cycle; the model's numbers are then not given.
     pub implausible: Vec<Implausible>,
+    /// Grade of the answer, A to D.
     pub grade: Option<char>,
+    /// Static band, OP units. Where `stiction` is not `Some(true)`, bands are those of a model that the verdict does not believe in.
     pub fs: Option<f64>,
+    /// Kinetic band, OP units.
     pub fd: Option<f64>,
+    /// Dead band plus stick band, fs + fd, OP units.
     pub s: Option<f64>,
+    /// Slip jump, fs - fd, OP units.
     pub j: Option<f64>,
+    /// Interval of `fs`.
     pub fs_interval: Option<[f64; 2]>,
+    /// Interval of `fd`.
     pub fd_interval: Option<[f64; 2]>,
+    /// Interval of `s`; where no stiction was found it starts at 0, and its end is a bound.
     pub s_interval: Option<[f64; 2]>,
+    /// Interval of `j`.
     pub j_interval: Option<[f64; 2]>,
+    /// Level of the intervals, 0.9.
     pub interval_level: Option<f64>,
+    /// Whether the record identifies j.
     pub j_identifiable: Option<bool>,
+    /// Smallest s that this window would have shown, OP units; `None` where stiction was found or it cannot be determined.
     pub s_detectable: Option<f64>,
+    /// 1 - error with stiction / error without, 0..1.
     pub stiction_index: Option<f64>,
+    /// s over the span of OP in the window.
     pub s_over_span: Option<f64>,
+    /// Where (fs, fd) lies in the plane of the valve model.
     pub region: Option<Region>,
+    /// Class of s by the span of OP.
     pub strength_by_span: Option<Size>,
+    /// Class of s by the range of OP, where that is known.
     pub severity_by_range: Option<Size>,
+    /// The valve model that fits better.
     pub valve_model: Option<Law>,
+    /// The fitted process.
     pub process: Option<Process>,
     /// Span of PV in the window (0.5 to 99.5 percentile), PV units.
     pub pv_span: Option<f64>,
+    /// The controller, where the record identifies one.
     pub controller: Option<Controller>,
+    /// Indicators that need no valve model.
     pub indicators: Vec<Indicator>,
     /// Sum of the indicators' contributions, logits.
     pub explanation: Option<Opinion>,
     /// Search statistics: evaluations, and why the search stopped.
     pub search: Option<Search>,
+    /// Run time, ms; set by the caller.
     pub elapsed_ms: Option<f64>,
 }
 

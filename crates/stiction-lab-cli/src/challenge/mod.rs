@@ -43,7 +43,7 @@ const START_S: f64 = 1_700_000_000.0;
   stiction-lab challenge new --seed 2 --cases 4 --out check
   stiction-lab challenge run check
   stiction-lab challenge score check
-  stiction-lab challenge calibrate check-a --out crates/stiction/src/gap/calibration.json --force
+  stiction-lab challenge calibrate check-a --out crates/stiction-core/src/gap/calibration.json --force
 Odd seeds are split A, the development set; even seeds are split B, the test set.")]
 pub struct Args {
     #[command(subcommand)]

@@ -9,7 +9,7 @@ use stiction_core::detect::oscillation;
 use stiction_core::gap::document::GapDocument;
 use stiction_core::gap::{GapOptions, Serial, diagnose};
 use stiction_core::record::Record;
-use stiction_core::sim::actuator::Around;
+use stiction_core::sim::actuator::Actuator;
 use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stiction_core::sim::controller::{Action, PidSettings};
 use stiction_core::sim::disturbance::Disturbance;
@@ -82,7 +82,7 @@ fn a_loop_like_the_base() {
 #[test]
 fn play_behind_the_stem() {
     let mut model = plain();
-    model.valve.around = Around { play: 1.6, ..Around::NONE };
+    model.valve.actuator = Actuator { play: 1.6, ..Actuator::NONE };
     held("backlash", model);
 }
 

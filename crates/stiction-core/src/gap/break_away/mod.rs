@@ -169,7 +169,7 @@ fn fit(record: &Record, problem: &Problem, base: &Fit, floor: f64, found: Found)
     found.plant.write_to(&mut model.process, record);
     Fit {
         id: EFFECT.id.to_owned(),
-        slips: slips(&found.course.stem, 1e-6 * problem.span),
+        slips: slips(&found.course.stem, 1e-6 * problem.normalised.span),
         dead_time_s: model.process.dead_time_s,
         time_constants_s: model.process.time_constants_s.clone(),
         model,

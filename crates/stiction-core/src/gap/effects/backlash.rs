@@ -7,7 +7,7 @@ use crate::gap::types::Stage;
 /// As the catalogue has it.
 pub(crate) const EFFECT: Effect = Effect {
     params: &[Param { name: "width", unit: Unit::Op, reach: Reach::Stem, limits: |_| [0.0, 0.8], trade: for_band }],
-    apply: |p, plan| plan.around.play = p[0].max(0.0),
+    apply: |p, plan| plan.actuator.play = p[0].max(0.0),
     starts: |_| [0.02, 0.04, 0.07, 0.12, 0.2, 0.3, 0.42, 0.55, 0.7].map(|w| [w, 0.0, 0.0]).to_vec(),
     confused_with: &["extra_lag", "static_nonlinearity"],
     separated_by: "positions on both sides of the linkage, or small steps of OP both ways",
@@ -15,7 +15,7 @@ pub(crate) const EFFECT: Effect = Effect {
     behind_stem: true,
     phrase: |sizes| Some(format!("backlash of {} OP units behind the stem", sizes.said("width")?)),
     in_loop: |stated, parts| {
-        parts.around.play = stated.number("width")?.max(0.0);
+        parts.actuator.play = stated.number("width")?.max(0.0);
         Ok(())
     },
     ..Effect::simulated("backlash", Stage::Valve)
@@ -37,7 +37,7 @@ mod tests {
     fn width_is_play_behind_the_stem_and_zero_is_the_base() {
         let mut plan = Plan::base(Some(Law::He));
         (EFFECT.apply)(&[0.3], &mut plan);
-        assert!(plan.around.play == 0.3 && !plan.is_linear_in_fd());
+        assert!(plan.actuator.play == 0.3 && !plan.is_linear_in_fd());
         (EFFECT.apply)(&[0.0], &mut plan);
         assert_eq!(plan, Plan::base(Some(Law::He)));
     }

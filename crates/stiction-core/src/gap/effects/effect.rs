@@ -115,11 +115,11 @@ impl Param {
             Unit::One => (value, "1"),
             Unit::LogTime => (libm::exp(value) * problem.point_s, "s"),
             Unit::Time | Unit::Instant => (value * problem.point_s, "s"),
-            Unit::Op => (value * problem.span, "OP"),
-            Unit::LogRate => (libm::exp(value) * problem.span / problem.point_s, "OP/s"),
+            Unit::Op => (value * problem.normalised.span, "OP"),
+            Unit::LogRate => (libm::exp(value) * problem.normalised.span / problem.point_s, "OP/s"),
             Unit::Period => (2.0 * core::f64::consts::PI / value.max(1e-9) * problem.point_s, "s"),
             Unit::Choice => (if value > 0.5 { 1.0 } else { 0.0 }, "1"),
-            Unit::PerOp => (value / problem.span, "1/OP"),
+            Unit::PerOp => (value / problem.normalised.span, "1/OP"),
             Unit::StemEnd | Unit::OwnInstant => return None,
         };
         Some(Parameter { name: self.name, value, unit })
@@ -132,10 +132,10 @@ impl Param {
             Unit::One | Unit::Choice => value,
             Unit::LogTime => libm::log((value / problem.point_s).max(1e-9)),
             Unit::Time | Unit::Instant | Unit::OwnInstant => value / problem.point_s,
-            Unit::Op => value / problem.span,
-            Unit::LogRate => libm::log((value * problem.point_s / problem.span).max(1e-12)),
-            Unit::PerOp => value * problem.span,
-            Unit::StemEnd => (value - problem.op_middle) / problem.span,
+            Unit::Op => value / problem.normalised.span,
+            Unit::LogRate => libm::log((value * problem.point_s / problem.normalised.span).max(1e-12)),
+            Unit::PerOp => value * problem.normalised.span,
+            Unit::StemEnd => (value - problem.op_middle) / problem.normalised.span,
             Unit::Period => 2.0 * core::f64::consts::PI * problem.point_s / value.max(1e-9),
         }
     }

@@ -64,7 +64,7 @@ fn for_own_dead_time(theta: &mut Parameters, at: usize, by: f64, _op_rate: f64) 
 /// Its gain, which signal it is, and how rarely a shifted neighbour explains as much.
 fn sizes(_p: &[f64], plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
     let Some(load) = &problem.neighbour else { return Vec::new() };
-    let gain = of.linear.others[plan.column(Part::Neighbour)] * problem.deviation / load.deviation;
+    let gain = of.linear.others[plan.column(Part::Neighbour)] * problem.normalised.deviation / load.deviation;
     vec![
         Parameter { name: "gain", value: gain, unit: if load.from_op { "PV/OP" } else { "PV/PV" } },
         Parameter { name: "from_op", value: if load.from_op { 1.0 } else { 0.0 }, unit: "1" },

@@ -49,7 +49,7 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
 
 fn rate(_p: &[f64], plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
     let (rise, whole) = (of.linear.others[plan.column(Part::Ramp)], problem.n() as f64 * problem.point_s);
-    vec![Parameter { name: "slope", value: rise * problem.deviation / whole, unit: "PV/s" }]
+    vec![Parameter { name: "slope", value: rise * problem.normalised.deviation / whole, unit: "PV/s" }]
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ pub(crate) const EFFECT: Effect = Effect {
         },
         Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
     ],
-    apply: |p, plan| *(if p[1] > 0.5 { &mut plan.stroke.rate } else { &mut plan.around.rate }) = libm::exp(p[0]),
+    apply: |p, plan| *(if p[1] > 0.5 { &mut plan.stroke.rate } else { &mut plan.actuator.rate }) = libm::exp(p[0]),
     starts,
     confused_with: &["extra_lag", "positioner_lag"],
     separated_by: "the valve position after a large step of OP",
@@ -28,7 +28,7 @@ pub(crate) const EFFECT: Effect = Effect {
     },
     in_loop: |stated, parts| {
         let rate = stated.above_zero("rate")? * stated.ts_s;
-        *(if stated.is("of_stem") { &mut parts.stroke.rate } else { &mut parts.around.rate }) = rate;
+        *(if stated.is("of_stem") { &mut parts.stroke.rate } else { &mut parts.actuator.rate }) = rate;
         Ok(())
     },
     ..Effect::simulated("rate_limit", Stage::Valve)
@@ -50,7 +50,7 @@ mod tests {
     fn the_rate_is_a_logarithm_of_the_stem_or_of_what_follows_it() {
         let mut plan = Plan::base(Some(Law::He));
         (EFFECT.apply)(&[libm::log(0.05), 0.0], &mut plan);
-        assert!((plan.around.rate - 0.05).abs() < 1e-12 && !plan.is_linear_in_fd());
+        assert!((plan.actuator.rate - 0.05).abs() < 1e-12 && !plan.is_linear_in_fd());
         let mut plan = Plan::base(Some(Law::He));
         (EFFECT.apply)(&[libm::log(0.05), 1.0], &mut plan);
         assert!((plan.stroke.rate - 0.05).abs() < 1e-12 && plan.is_linear_in_fd());

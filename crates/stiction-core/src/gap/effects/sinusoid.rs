@@ -70,7 +70,7 @@ fn has_overtone(omega: f64, rest: &Rest) -> bool {
 fn amplitude(_p: &[f64], plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
     let at = plan.column(Part::Waves);
     let [a, b] = [of.linear.others[at], of.linear.others[at + 1]];
-    vec![Parameter { name: "amplitude", value: (a * a + b * b).sqrt() * problem.deviation, unit: "PV" }]
+    vec![Parameter { name: "amplitude", value: (a * a + b * b).sqrt() * problem.normalised.deviation, unit: "PV" }]
 }
 
 #[cfg(test)]

@@ -22,7 +22,9 @@ pub(crate) const EFFECT: Effect = Effect {
         Param { name: "by_level", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
     ],
     // At OP's middle the slope of `v / (1 - c v)`, where a process comes to rest, grows by 2 c with each span.
-    apply: |p, plan| *(if p[1] > 0.5 { &mut plan.level } else { &mut plan.around.bend }) = p[0] / (1.0 + p[1].round()),
+    apply: |p, plan| {
+        *(if p[1] > 0.5 { &mut plan.level } else { &mut plan.actuator.bend }) = p[0] / (1.0 + p[1].round())
+    },
     starts: |_| [-2.0, 2.0].into_iter().flat_map(|c| [[c, 0.0, 0.0], [c, 1.0, 0.0]]).collect(),
     confused_with: &["travel_limit", "gain_drift", "asymmetric_stiction"],
     separated_by: "the flow, or steps of OP at two levels",
@@ -36,7 +38,7 @@ pub(crate) const EFFECT: Effect = Effect {
         if stated.is("by_level") {
             return Err(NoPlace::Inside(stated.id().to_owned()));
         }
-        (parts.around.bend, parts.around.middle) = (stated.number("gain_change_per_op")?, stated.model.process.op);
+        (parts.actuator.bend, parts.actuator.middle) = (stated.number("gain_change_per_op")?, stated.model.process.op);
         Ok(())
     },
     ..Effect::simulated("static_nonlinearity", Stage::Process)
@@ -56,8 +58,8 @@ mod tests {
             (EFFECT.apply)(&p, &mut plan);
             plan
         };
-        assert_eq!([entered([0.4, 0.0]).around.bend, entered([0.4, 0.0]).level], [0.4, 0.0]);
-        assert_eq!([entered([0.4, 1.0]).around.bend, entered([0.4, 1.0]).level], [0.0, 0.2]);
+        assert_eq!([entered([0.4, 0.0]).actuator.bend, entered([0.4, 0.0]).level], [0.4, 0.0]);
+        assert_eq!([entered([0.4, 1.0]).actuator.bend, entered([0.4, 1.0]).level], [0.0, 0.2]);
         assert!(entered([0.0, 0.0]) == base && !entered([0.4, 1.0]).is_linear_in_fd());
     }
 }

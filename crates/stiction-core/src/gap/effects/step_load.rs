@@ -56,7 +56,7 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
 
 fn size(_p: &[f64], plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
     let size = of.linear.others[plan.column(Part::Step)];
-    vec![Parameter { name: "size", value: size * problem.deviation, unit: "PV" }]
+    vec![Parameter { name: "size", value: size * problem.normalised.deviation, unit: "PV" }]
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ pub(crate) const EFFECT: Effect = Effect {
         Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
     ],
     apply: |p, plan| {
-        let ends = if p[2] > 0.5 { &mut plan.stroke.ends } else { &mut plan.around.stops };
+        let ends = if p[2] > 0.5 { &mut plan.stroke.ends } else { &mut plan.actuator.stops };
         ends[usize::from(p[1] > 0.5)] = p[0];
     },
     starts,
@@ -31,7 +31,7 @@ pub(crate) const EFFECT: Effect = Effect {
     },
     in_loop: |stated, parts| {
         let stop = stated.number("stop")?;
-        let ends = if stated.is("of_stem") { &mut parts.stroke.ends } else { &mut parts.around.stops };
+        let ends = if stated.is("of_stem") { &mut parts.stroke.ends } else { &mut parts.actuator.stops };
         let above = above_stop(&[stop, stated.or_zero("upper"), stated.or_zero("of_stem")], stated.model.valve.fd);
         ends[usize::from(stated.is("upper"))] = stop + above;
         if ends[0] > ends[1] { Err(stated.wrong("stop", " that leaves the stem room")) } else { Ok(()) }
@@ -63,7 +63,7 @@ fn above_stop(p: &[f64], fd: f64) -> f64 {
 
 fn stop(p: &[f64], _plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
     let place = p[0] - above_stop(p, of.theta.fd);
-    vec![Parameter { name: "stop", value: place * problem.span + problem.op_middle, unit: "OP" }]
+    vec![Parameter { name: "stop", value: place * problem.normalised.span + problem.op_middle, unit: "OP" }]
 }
 
 #[cfg(test)]
@@ -75,9 +75,9 @@ mod tests {
     fn either_end_can_be_the_stop_of_stem_or_flow_and_far_away_it_is_none() {
         let mut plan = Plan::base(Some(Law::He));
         (EFFECT.apply)(&[0.3, 1.0, 0.0], &mut plan);
-        assert_eq!(plan.around.stops, [f64::NEG_INFINITY, 0.3]);
+        assert_eq!(plan.actuator.stops, [f64::NEG_INFINITY, 0.3]);
         (EFFECT.apply)(&[-0.3, 0.0, 0.0], &mut plan);
-        assert_eq!(plan.around.stops, [-0.3, 0.3]);
+        assert_eq!(plan.actuator.stops, [-0.3, 0.3]);
         let mut plan = Plan::base(Some(Law::He));
         (EFFECT.apply)(&[0.3, 1.0, 1.0], &mut plan);
         assert!(plan.stroke.ends == [f64::NEG_INFINITY, 0.3] && plan.is_linear_in_fd());

@@ -35,7 +35,7 @@ fn every_effect_at_rest_is_the_base() {
     let mut pass = PlainPass::new(&problem, 1.0);
     let base = pass.evaluate(&Structure::base(Some(Law::He)), &theta, View::Plain).unwrap();
     let n = problem.target(View::Plain).len() as f64;
-    assert!((base.sse / n).sqrt() * problem.deviation < 0.02, "{}", base.sse);
+    assert!((base.sse / n).sqrt() * problem.normalised.deviation < 0.02, "{}", base.sse);
     let rest = |id: &str| match id {
         "rate_limit" => [libm::log(2.0), 0.0],
         "travel_limit" => [2.0, 1.0],
@@ -78,8 +78,8 @@ fn loads_say_their_own_size_beside_any_other_part() {
     let (problem, theta) = made();
     let n = problem.n();
     let size_of = |ids: [&str; 2], p: [f64; MAX_PARAMS], load: &dyn Fn(usize) -> f64, name: &str| {
-        let (normalised, deviation) = (&problem.normalised, problem.deviation);
-        let op = normalised.path.values().iter().map(|u| u * problem.span + problem.op_middle).collect();
+        let (normalised, deviation) = (&problem.normalised, problem.normalised.deviation);
+        let op = normalised.path.values().iter().map(|u| u * problem.normalised.span + problem.op_middle).collect();
         let pv = normalised.pv.iter().enumerate().map(|(k, y)| (y + load(k)) * deviation).collect();
         let loaded = Problem::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; n]);
         let structure = Structure { law: Some(Law::He), effects: ids.map(effects::by_id) };

@@ -97,6 +97,78 @@ impl<'t> With<'t> {
     }
 }
 
+/// The columns beside the answer (constant, memories, loads): their products with each other, with PV and with the parts.
+struct Beside {
+    count: usize,
+    gram: [[f64; BESIDE]; BESIDE],
+    with_pv: [f64; BESIDE],
+    with_parts: [[[f64; 2]; PARTS]; BESIDE],
+}
+
+impl Beside {
+    #[inline(always)]
+    fn of<const CLASS: usize>(
+        class: Class,
+        view: &View,
+        tables: [&Table; 2],
+        cross: f64,
+        with_own: &[[[f64; 2]; PARTS]; 3],
+        with_loads: &[[[f64; 2]; PARTS]],
+    ) -> Self {
+        let own = class.memory_len();
+        let loads = view.loads().min(MOST_LOADS);
+        let count = own + loads;
+        let mut with_parts = [[[0.0; 2]; PARTS]; BESIDE];
+        with_parts[..own].copy_from_slice(&with_own[..own]);
+        with_parts[own..count].copy_from_slice(&with_loads[..loads]);
+        let (mut gram, mut with_pv) = ([[0.0; BESIDE]; BESIDE], [0.0; BESIDE]);
+        own_products::<CLASS>(&mut gram, view, tables, cross);
+        let signal = |row: usize, column: usize| match (row, CLASS) {
+            (0, _) => view.with_one(column),
+            (1, INTEGRATING | LAG_INTEGRATING) => view.with_time(column),
+            (2, SECOND) => tables[1].with_memory[column],
+            _ => tables[0].with_memory[column],
+        };
+        for row in 0..own {
+            with_pv[row] = signal(row, 0);
+            for load in 0..loads {
+                gram[row][own + load] = signal(row, 1 + load);
+            }
+        }
+        for load in 0..loads {
+            with_pv[own + load] = view.product(0, 1 + load);
+            for other in load..loads {
+                gram[own + load][own + other] = view.product(1 + load, 1 + other);
+            }
+        }
+        Self { count, gram, with_pv, with_parts }
+    }
+}
+
+/// Products of constant and memories with each other; `cross` is the sum of both decays' product from one point on.
+#[inline(always)]
+fn own_products<const CLASS: usize>(gram: &mut [[f64; BESIDE]; BESIDE], view: &View, tables: [&Table; 2], cross: f64) {
+    let moments = view.moments();
+    gram[0][0] = moments[0];
+    match CLASS {
+        INTEGRATING | LAG_INTEGRATING => {
+            (gram[0][1], gram[1][1]) = (moments[1], moments[2]);
+            if CLASS == LAG_INTEGRATING {
+                [gram[2][2], gram[0][2], gram[1][2]] = tables[0].memory;
+            }
+        }
+        _ => {
+            [gram[1][1], gram[0][1], _] = tables[0].memory;
+            if CLASS == SECOND {
+                [gram[2][2], gram[0][2], _] = tables[1].memory;
+                let power = |k: usize| tables[0].powers[k] * tables[1].powers[k];
+                let from = view.from();
+                gram[1][2] = view.counted().iter().map(|[a, b]| power(a - from) - power(b - from)).sum::<f64>() * cross;
+            }
+        }
+    }
+}
+
 impl Gathered {
     /// Takes the constant, the process' own memory and the loads out of everything.
     pub(super) fn take_out<const CLASS: usize>(
@@ -109,52 +181,8 @@ impl Gathered {
     ) -> Reduced {
         let Self { mut products, with: [with_pv, with_loads @ ..], with_beside } = self;
         let whole = [products[0][0].max(moved[0]), products[2][0].max(moved[1])];
-        let own = class.memory_len();
-        let loads = view.loads().min(MOST_LOADS);
-        let count = own + loads;
-        let (mut gram, mut with) = ([[0.0; BESIDE]; BESIDE], [0.0; BESIDE]);
-        let mut rows = [[[0.0; 2]; PARTS]; BESIDE];
-        rows[..own].copy_from_slice(&with_beside[..own]);
-        rows[own..count].copy_from_slice(&with_loads[..loads]);
-        let moments = view.moments();
-        gram[0][0] = moments[0];
-        let memory = |table: &Table, column: usize| table.with_memory[column];
-        let signal = |row: usize, column: usize| match (row, CLASS) {
-            (0, _) => view.with_one(column),
-            (1, INTEGRATING | LAG_INTEGRATING) => view.with_time(column),
-            (2, SECOND) => memory(tables[1], column),
-            _ => memory(tables[0], column),
-        };
-        match CLASS {
-            INTEGRATING | LAG_INTEGRATING => {
-                (gram[0][1], gram[1][1]) = (moments[1], moments[2]);
-                if CLASS == LAG_INTEGRATING {
-                    [gram[2][2], gram[0][2], gram[1][2]] = tables[0].memory;
-                }
-            }
-            _ => {
-                [gram[1][1], gram[0][1], _] = tables[0].memory;
-                if CLASS == SECOND {
-                    [gram[2][2], gram[0][2], _] = tables[1].memory;
-                    let power = |k: usize| tables[0].powers[k] * tables[1].powers[k];
-                    let from = view.from();
-                    gram[1][2] =
-                        view.counted().iter().map(|[a, b]| power(a - from) - power(b - from)).sum::<f64>() * cross;
-                }
-            }
-        }
-        for row in 0..own {
-            with[row] = signal(row, 0);
-            for load in 0..loads {
-                gram[row][own + load] = signal(row, 1 + load);
-            }
-        }
-        for load in 0..loads {
-            with[own + load] = view.product(0, 1 + load);
-            for other in load..loads {
-                gram[own + load][own + other] = view.product(1 + load, 1 + other);
-            }
-        }
+        let Beside { count, mut gram, with_pv: mut with, with_parts: mut rows } =
+            Beside::of::<CLASS>(class, view, tables, cross, &with_beside, &with_loads);
         let used = parts(CLASS);
         let mut halves: [[f64; PARTS]; 2] = core::array::from_fn(|h| core::array::from_fn(|b| with_pv[b][h]));
         let mut rest = view.product(0, 0);

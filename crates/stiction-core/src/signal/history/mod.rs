@@ -540,7 +540,7 @@ fn irregularity(bins: &[Bin]) -> f64 {
     off[off.len() * 9 / 10] as f64 / 1.645 / median.max(1) as f64
 }
 
-/// The record of a whole stretch of points, in bins as in the daemon.
+/// The record of a stretch of points; of more than `max_points` the older ones are averaged in bins. `None` without points.
 #[must_use]
 pub fn record_of(points: &[Point], max_points: usize) -> Option<Record> {
     let mut history = History::new(points.len().max(16));

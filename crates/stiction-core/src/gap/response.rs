@@ -1,9 +1,9 @@
-//! The process' answer to a valve signal, sample by sample, with a rate that may go with the signal's level.
+//! The process' response to a valve signal, sample by sample; its time constant may depend on the signal's level.
 
 use super::plan::Plan;
 use crate::sim::process::Pole;
 
-/// Least share of its usual rate at which a process settles whose rate goes with its input.
+/// Least share of its usual rate at which a process settles whose time constant depends on its input.
 const LEAST_RATE: f64 = 0.1;
 
 /// The process of a plan.
@@ -18,7 +18,7 @@ pub struct Process<'p> {
 }
 
 impl Process<'_> {
-    /// Its answer to `v` from rest at its first value.
+    /// Its response to `v` from rest at its first value.
     pub(crate) fn respond(&self, v: &[f64]) -> Vec<f64> {
         let tau2 = self.tau[1];
         if self.plan.level == 0.0 || self.plan.integrating {
