@@ -55,8 +55,8 @@ pub enum NeighbourError {
     },
     /// It was recorded at another time.
     #[error(
-        "neighbour {name}: its record covers {covered_pct:.0} % of the section, 95 % are needed; choose a section by --window \
-         that both cover, or leave it out"
+        "neighbour {name}: its record covers {covered_pct:.0} % of the section, 95 % are needed; choose a section that both \
+         cover, or leave it out"
     )]
     Apart {
         /// Its name.

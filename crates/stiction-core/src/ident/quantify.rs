@@ -50,7 +50,8 @@ pub struct Estimate {
     pub j_error: f64,
     /// Range of s with the same slips, OP units.
     pub s_cell: [f64; 2],
-    /// Range of s that explains the record almost as well, OP units.
+    /// Ranges of s, j, fs and fd that explain the record almost as well, OP units; [`crate::verdict::assess`] widens them to
+    /// 90 % intervals.
     pub spread: Spread,
     /// Number of models evaluated.
     pub evaluations: u64,

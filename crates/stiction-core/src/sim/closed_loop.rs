@@ -203,6 +203,9 @@ impl ClosedLoop {
     /// A loop at rest that starts at `start_s` (disturbances count from 0) with the set point `sp`.
     ///
     /// Measurement noise uses stream 0 of `seed`, the disturbances the following streams.
+    ///
+    /// # Panics
+    /// At the first step, where a lower limit of OP or of the valve's travel lies above the upper one.
     #[must_use]
     pub fn new(model: LoopModel, start_s: f64, sp: f64, seed: u64) -> Self {
         let mut streams = 1..;
