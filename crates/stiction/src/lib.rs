@@ -19,20 +19,9 @@
 //!
 //! # Is the valve sticking?
 //! ```
-//! # use stiction::sim::*;
+#![doc = include_str!("example_loop.md")]
 //! use stiction::{AssessParams, Record, Verdict, assess, headline};
 //!
-//! # let controller = PidSettings {
-//! #     kc: 0.8, ti_s: 8.0, td_s: 0.0, action: Action::Reverse, op_min: 0.0, op_max: 100.0, op_resolution: 0.01,
-//! # };
-//! # let model = LoopModel {
-//! #     ts_s: 1.0,
-//! #     process: ProcessModel { gain: 2.0, tau: 20.0, tau2: 0.0, dead_time: 6.0, integrating: false },
-//! #     rest_op: 50.0, rest_pv: 60.0, controller, pv_noise_sd: 0.05, load: vec![], pv_disturbance: vec![],
-//! #     valve: ValveModel { law: ValveLaw::He, fs: 5.0, fd: 3.0, ..ValveModel::HEALTHY },
-//! # };
-//! # let mut simulated = ClosedLoop::new(model, 0.0, 60.0, 1);
-//! # simulated.record(1800, 61.0);
 //! # let simulated = simulated.record(1000, 61.0);
 //! # let (op, pv) = (simulated.op().to_vec(), simulated.pv);
 //! // OP in % and PV in its own unit, one value a second, as a historian exports them.
@@ -111,20 +100,9 @@
 //!
 //! # What would a repair bring?
 //! ```
-//! # use stiction::sim::*;
+#![doc = include_str!("example_loop.md")]
 //! use stiction::{AssessParams, RepairParams, assess, repair};
 //!
-//! # let controller = PidSettings {
-//! #     kc: 0.8, ti_s: 8.0, td_s: 0.0, action: Action::Reverse, op_min: 0.0, op_max: 100.0, op_resolution: 0.01,
-//! # };
-//! # let model = LoopModel {
-//! #     ts_s: 1.0,
-//! #     process: ProcessModel { gain: 2.0, tau: 20.0, tau2: 0.0, dead_time: 6.0, integrating: false },
-//! #     rest_op: 50.0, rest_pv: 60.0, controller, pv_noise_sd: 0.05, load: vec![], pv_disturbance: vec![],
-//! #     valve: ValveModel { law: ValveLaw::He, fs: 5.0, fd: 3.0, ..ValveModel::HEALTHY },
-//! # };
-//! # let mut simulated = ClosedLoop::new(model, 0.0, 60.0, 1);
-//! # simulated.record(1800, 61.0);
 //! # let record = simulated.record(1000, 61.0);
 //! // The assessment needs a model even where screening would let the loop pass.
 //! let found = assess(&record, &AssessParams { always_fit: true, ..AssessParams::default() });
@@ -136,20 +114,9 @@
 //!
 //! # What does the model leave out?
 //! ```
-//! # use stiction::sim::*;
+#![doc = include_str!("example_loop.md")]
 //! use stiction::{GapDocument, GapOptions, Serial, diagnose, gap_report};
 //!
-//! # let controller = PidSettings {
-//! #     kc: 0.8, ti_s: 8.0, td_s: 0.0, action: Action::Reverse, op_min: 0.0, op_max: 100.0, op_resolution: 0.01,
-//! # };
-//! # let model = LoopModel {
-//! #     ts_s: 1.0,
-//! #     process: ProcessModel { gain: 2.0, tau: 20.0, tau2: 0.0, dead_time: 6.0, integrating: false },
-//! #     rest_op: 50.0, rest_pv: 60.0, controller, pv_noise_sd: 0.05, load: vec![], pv_disturbance: vec![],
-//! #     valve: ValveModel { law: ValveLaw::He, fs: 5.0, fd: 3.0, ..ValveModel::HEALTHY },
-//! # };
-//! # let mut simulated = ClosedLoop::new(model, 0.0, 60.0, 1);
-//! # simulated.record(1800, 61.0);
 //! # let record = simulated.record(600, 61.0);
 //! let options = GapOptions::default();
 //! let diagnosis = diagnose(&record, &options, &Serial)?;

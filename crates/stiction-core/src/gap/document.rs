@@ -16,7 +16,8 @@ use super::pool::WindowNote;
 use super::sizes::{Quantity, share_left};
 use super::structure::BASE;
 use super::types::{
-    Alternative, Base, Compared, EffectResult, Ended, Fit, FromSp, GapOptions, NONE, Parameter, Stage, UNKNOWN,
+    Alternative, Base, Cause, Compared, EffectResult, Ended, Fit, Forward, FromSp, GapOptions, NONE, NextTest,
+    NoiseModels, Parameter, Stage, UNKNOWN,
 };
 use super::typical::{self, Known, TypicalNote};
 use crate::record::Record;
@@ -143,6 +144,16 @@ pub struct CauseNote {
 }
 
 impl CauseNote {
+    /// The answer of a diagnosis, and why it is no better by what the record can tell.
+    fn of(diagnosis: &Diagnosis, told: Option<&TellableNote>) -> Self {
+        let Cause { id, probability, confirmed, .. } = &diagnosis.cause;
+        let note = Self { id: id.clone(), probability: *probability, confirmed: *confirmed, why: None };
+        let leads = diagnosis.named().is_none_or(|e| e.closed_pct.is_none_or(|closed| closed >= LITTLE));
+        let is_judged = !diagnosis.is_worse_than_mean();
+        let why = told.and_then(|told| note.why_by(told, leads, is_judged)).map(str::to_owned);
+        Self { why, ..note }
+    }
+
     /// What keeps the answer from being sure, where the record tells it. `leads` is false for a cause that closes next to nothing,
     /// `is_judged` is false where the base is worse than PV's mean.
     pub(super) fn why_by(&self, told: &TellableNote, leads: bool, is_judged: bool) -> Option<&'static str> {
@@ -313,13 +324,53 @@ impl GapDocument {
     /// Makes the document of a diagnosis of a record with these options.
     #[must_use]
     pub fn new(loop_name: &str, record: &Record, options: &GapOptions, diagnosis: &Diagnosis) -> Self {
-        let document = Self::without_budget(loop_name, record, options, diagnosis);
+        let [effects, pairs] =
+            [&diagnosis.effects, &diagnosis.pairs].map(|all| all.iter().map(EffectNote::of).collect::<Vec<_>>());
+        let closed_loop = super::loop_run::cycles(record, diagnosis);
         let budget = Budget::of(record, known(diagnosis));
-        let explained = document.closed_loop.as_ref().map(|cycles| cycles.controller.r2);
+        let explained = closed_loop.as_ref().map(|cycles| cycles.controller.r2);
         let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.base.slips, explained));
-        let cause = document.named().map(|e| (&e.parameters, document.cause.confirmed));
-        let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures, cause));
-        Self { budget, ..document.telling(tellable) }
+        let cause = CauseNote::of(diagnosis, tellable.as_ref());
+        let named = effects.iter().chain(&pairs).find(|e| e.id == cause.id);
+        let named = named.map(|e| (&e.parameters, cause.confirmed));
+        let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures, named));
+        let deviation = stats::std_dev(&record.pv);
+        let figures = |fit: &Fit| Figures::of(fit, diagnosis.floor.noise_floor, deviation);
+        let given = diagnosis.given.as_ref().map(figures);
+        Self {
+            schema: GAP_SCHEMA.to_owned(),
+            loop_name: loop_name.to_owned(),
+            window: Window::of(record),
+            base: BaseNote::of(&options.base, &diagnosis.base),
+            gap: figures(&diagnosis.base),
+            given,
+            parametric: given.map(|g| g.gap - diagnosis.base.gap),
+            location: locate(record, &Subject::of(diagnosis, options.period_points, options.seed)),
+            effects,
+            cause,
+            second_cause: diagnosis.second.as_ref().map(AlternativeNote::of),
+            alternatives: diagnosis.alternatives.iter().map(AlternativeNote::of).collect(),
+            forward: diagnosis.forward.map(ForwardNote::of),
+            model_after: ModelAfter::of(&diagnosis.model_after),
+            next_test: diagnosis.next_test.as_ref().map(TestNote::of),
+            evaluations: diagnosis.evaluations,
+            search: SearchNote {
+                evaluations: diagnosis.evaluations,
+                budget: diagnosis.budget_evaluations,
+                ended: diagnosis.ended,
+            },
+            stopped_early: diagnosis.stopped_early,
+            pairs,
+            noise_models: NoiseNote::of(&diagnosis.noise_models),
+            closed_loop,
+            from_sp: diagnosis.from_sp,
+            budget,
+            tellable,
+            typical: Known::shipped().note(&typical::place(&diagnosis.basis, &diagnosis.features)),
+            pooled: Vec::new(),
+            neighbours: diagnosis.neighbours.clone(),
+            version: crate::VERSION.to_owned(),
+        }
     }
 
     /// Whether the base, with the named cause where there is one, follows held-out PV worse than PV's mean does.
@@ -331,78 +382,6 @@ impl GapDocument {
     /// The named effect, unless it closes next to nothing: then it is a side note.
     pub(super) fn leading(&self) -> Option<&EffectNote> {
         self.named().filter(|e| e.closed_pct.is_none_or(|closed| closed >= LITTLE))
-    }
-
-    fn telling(self, tellable: Option<TellableNote>) -> Self {
-        let leads = self.named().is_none() || self.leading().is_some();
-        let is_judged = !self.is_worse_than_mean();
-        let why = tellable.as_ref().and_then(|told| self.cause.why_by(told, leads, is_judged)).map(str::to_owned);
-        Self { cause: CauseNote { why, ..self.cause }, tellable, ..self }
-    }
-
-    fn without_budget(loop_name: &str, record: &Record, options: &GapOptions, diagnosis: &Diagnosis) -> Self {
-        let deviation = stats::std_dev(&record.pv);
-        let figures = |fit: &Fit| Figures {
-            rmse: fit.rmse,
-            noise_floor: diagnosis.floor.noise_floor,
-            gap: fit.gap,
-            relative: (deviation > 0.0).then(|| fit.gap / deviation),
-        };
-        let given = diagnosis.given.as_ref().map(figures);
-        Self {
-            schema: GAP_SCHEMA.to_owned(),
-            loop_name: loop_name.to_owned(),
-            window: Window::of(record),
-            base: BaseNote::of(&options.base, &diagnosis.base),
-            gap: figures(&diagnosis.base),
-            given,
-            parametric: given.map(|g| g.gap - diagnosis.base.gap),
-            location: locate(record, &Subject::of(diagnosis, options.period_points, options.seed)),
-            effects: diagnosis.effects.iter().map(EffectNote::of).collect(),
-            cause: CauseNote {
-                id: diagnosis.cause.id.clone(),
-                probability: diagnosis.cause.probability,
-                confirmed: diagnosis.cause.confirmed,
-                why: None,
-            },
-            second_cause: diagnosis.second.as_ref().map(AlternativeNote::of),
-            alternatives: diagnosis.alternatives.iter().map(AlternativeNote::of).collect(),
-            forward: diagnosis.forward.map(|f| ForwardNote {
-                gap_before: f.gap_before,
-                gap_after: f.gap_after,
-                closed_pct: closed_pct(f.gap_before, f.gap_after),
-            }),
-            model_after: ModelAfter::of(&diagnosis.model_after),
-            next_test: diagnosis.next_test.as_ref().map(|t| TestNote {
-                signal: t.signal.to_owned(),
-                size: t.size,
-                duration_s: t.duration_s,
-                separates: t.separates.clone(),
-                p: t.p,
-            }),
-            evaluations: diagnosis.evaluations,
-            search: SearchNote {
-                evaluations: diagnosis.evaluations,
-                budget: diagnosis.budget_evaluations,
-                ended: diagnosis.ended,
-            },
-            stopped_early: diagnosis.stopped_early,
-            pairs: diagnosis.pairs.iter().map(EffectNote::of).collect(),
-            noise_models: NoiseNote {
-                over_base: diagnosis.noise_models.over_base,
-                over_best: diagnosis.noise_models.over_best,
-                independence_p: diagnosis.noise_models.independence_p,
-                whitens: diagnosis.noise_models.whitens,
-            },
-            closed_loop: super::loop_run::cycles(record, diagnosis),
-            from_sp: diagnosis.from_sp,
-            budget: None,
-            tellable: None,
-            typical: Known::shipped().note(&typical::place(&diagnosis.basis, &diagnosis.features)),
-            pooled: Vec::new(),
-            neighbours: diagnosis.neighbours.clone(),
-            version: crate::VERSION.to_owned(),
-        }
     }
 
     /// The named effect, unless the answer is `none` or `unknown`.
@@ -436,6 +415,34 @@ impl Window {
             ts_s: record.recorded_ts_s,
             box_samples: record.box_samples as u64,
         }
+    }
+}
+
+impl Figures {
+    fn of(fit: &Fit, noise_floor: Option<f64>, deviation: f64) -> Self {
+        let relative = (deviation > 0.0).then(|| fit.gap / deviation);
+        Self { rmse: fit.rmse, noise_floor, gap: fit.gap, relative }
+    }
+}
+
+impl ForwardNote {
+    fn of(forward: Forward) -> Self {
+        let Forward { gap_before, gap_after } = forward;
+        Self { gap_before, gap_after, closed_pct: closed_pct(gap_before, gap_after) }
+    }
+}
+
+impl TestNote {
+    fn of(test: &NextTest) -> Self {
+        let NextTest { signal, size, duration_s, separates, p } = test.clone();
+        Self { signal: signal.to_owned(), size, duration_s, separates, p }
+    }
+}
+
+impl NoiseNote {
+    fn of(models: &NoiseModels) -> Self {
+        let NoiseModels { over_base, over_best, independence_p, whitens, .. } = *models;
+        Self { over_base, over_best, independence_p, whitens }
     }
 }
 

@@ -10,7 +10,7 @@ use crate::sim::slips::Stroke;
 pub struct Parts {
     /// Of the stem's own motion.
     pub stroke: Stroke,
-    /// Around the stem.
+    /// The parts before and behind the stem.
     pub actuator: Actuator,
     /// At the process' input, OP units; times count from the record's start.
     pub load: Vec<Disturbance>,

@@ -59,7 +59,7 @@ pub struct Plan {
     pub overshoot: bool,
     /// Uneven bands, and stops that the stem itself meets, spans.
     pub stroke: Stroke,
-    /// What stands around the stem, points and spans.
+    /// The parts before and behind the stem, points and spans.
     pub actuator: Actuator,
     /// Share by which gain and time constant grow with the valve signal, for each span.
     pub level: f64,

@@ -1,14 +1,15 @@
-//! Parts between OP and flow other than friction: backlash, stops, limited speed, as functions of one step; and an input lag.
+//! What stands between OP and flow beside the friction of the stem: a lag before it; limited speed, stops, backlash and the
+//! valve's characteristic behind it.
 
 use super::steps::Path;
 
 /// Fewest values per point with a lag.
 const PARTS: usize = 5;
 
-/// The surroundings of a stem and its friction, value by value.
+/// The parts before and behind a stem; times in values of OP.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Actuator {
-    /// Time constant of the actuator, values; 0 for none.
+    /// Time constant of the lag before the stem, values; 0 for none.
     pub lag: f64,
     /// Largest speed of the output, OP units per value.
     pub rate: f64,
@@ -23,7 +24,7 @@ pub struct Actuator {
 }
 
 impl Actuator {
-    /// Nothing.
+    /// A stem alone.
     pub const NONE: Self = Self {
         lag: 0.0,
         rate: f64::INFINITY,
@@ -137,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_around_a_stem_acts_in_its_order() {
+    fn the_parts_behind_a_stem_act_in_their_order() {
         let actuator = Actuator { rate: 2.0, stops: [0.0, 5.0], play: 1.0, bend: 0.1, middle: 3.0, ..Actuator::NONE };
         let mut memory = [1.0, 1.0];
         // Up by 2 to 3, then by 2 to the stop at 5, each time half the play behind.

@@ -42,7 +42,7 @@ pub struct ValveModel {
     pub travel_max: f64,
     /// What the stem has beside its law.
     pub stroke: Stroke,
-    /// What stands around it.
+    /// The parts before and behind the stem.
     pub actuator: Actuator,
     /// Friction of the physical valve; the laws do without.
     pub friction: Friction,
