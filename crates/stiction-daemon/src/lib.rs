@@ -149,8 +149,8 @@ pub async fn run(
     let comparer = config.plant.groups.then(|| Comparer::start(&daemon_id)).transpose()?;
 
     let askers = Askers::new(&config.commands);
-    let answered = Answered { config: &config, shared: &shared, askers: &askers, control: &control };
-    let queryables = answered.on(&session, &daemon_id, signer).await?;
+    let on = (&session, daemon_id.as_str());
+    let queryables = answer_queries(&config, &shared, &askers, &control, signer, on).await?;
     let Sinks { recorder, keeper, publisher, outbox, stops } = sinks;
     let progress = recorder.progress();
     let parts = Parts {
@@ -217,29 +217,22 @@ fn start_engine(
     Ok((stop, thread))
 }
 
-/// What queries on the bus are answered from.
-struct Answered<'a> {
-    config: &'a Config,
-    shared: &'a Shared,
-    askers: &'a Askers,
-    control: &'a Sender<Control>,
-}
-
-impl Answered<'_> {
-    async fn on(
-        &self,
-        session: &zenoh::Session,
-        daemon_id: &str,
-        signer: Option<Arc<Signer>>,
-    ) -> anyhow::Result<Vec<Queryable<()>>> {
-        let Shared { metrics, last, .. } = self.shared;
-        let sign = signer.map(|signer| -> source::zenoh::Sign {
-            Arc::new(move |key: &str, document: &[u8]| signer.attachment(key, document))
-        });
-        let replies = Replies::start(self.askers.clone(), last.clone(), sign, metrics.clone())?;
-        let asked = (replies, self.askers.clone());
-        Queries::new(self.config, self.control.clone(), asked, metrics.clone()).answer(session, daemon_id, last).await
-    }
+/// Answers queries on the bus until the queryables are dropped.
+async fn answer_queries(
+    config: &Config,
+    shared: &Shared,
+    askers: &Askers,
+    control: &Sender<Control>,
+    signer: Option<Arc<Signer>>,
+    (session, daemon_id): (&zenoh::Session, &str),
+) -> anyhow::Result<Vec<Queryable<()>>> {
+    let Shared { metrics, last, .. } = shared;
+    let sign = signer.map(|signer| -> source::zenoh::Sign {
+        Arc::new(move |key: &str, document: &[u8]| signer.attachment(key, document))
+    });
+    let replies = Replies::start(askers.clone(), last.clone(), sign, metrics.clone())?;
+    let queries = Queries::new(config, control.clone(), (replies, askers.clone()), metrics.clone());
+    queries.answer(session, daemon_id, last).await
 }
 
 /// What others on the bus see of the daemon, and what it sees of them.

@@ -15,7 +15,7 @@
 //! | the bands by a solver of your own | [`solver`] |
 //! | simulation of a loop: valve models, processes, PID, disturbances | [`sim`] |
 //!
-//! Results are typed numbers, and most are `serde::Serialize`. The feature `schema` derives JSON Schema for the documents.
+//! Results are typed numbers; documents implement `serde::Serialize`. The feature `schema` derives JSON Schema for the documents.
 //!
 //! # Is the valve sticking?
 //! ```
@@ -93,9 +93,9 @@
 //!     .zip(records.iter().zip(&assessments))
 //!     .map(|(name, (record, assessment))| PlantLoop { name, record, assessment, area: None, upstream: &[] })
 //!     .collect();
-//! for group in assess_plant(&loops) {
-//!     println!("{}", group_report(&group));
-//! }
+//! let groups = assess_plant(&loops);
+//! assert_eq!(groups.len(), 1);
+//! println!("{}", group_report(&groups[0]));
 //! ```
 //!
 //! # What would a repair bring?
@@ -104,7 +104,7 @@
 //! use stiction::{AssessParams, RepairParams, assess, repair};
 //!
 //! # let record = simulated.record(1000, 61.0);
-//! // The assessment needs a model even where screening would let the loop pass.
+//! // `always_fit`: a repair needs a model, also of a loop that screening would skip.
 //! let found = assess(&record, &AssessParams { always_fit: true, ..AssessParams::default() });
 //! let benefit = repair(&record, &found, &RepairParams::default())?;
 //! assert!(benefit.repaired.pv_sd.value < benefit.now.pv_sd.value);
@@ -122,7 +122,7 @@
 //! let diagnosis = diagnose(&record, &options, &Serial)?;
 //! let document = GapDocument::new("FIC101", &record, &options, &diagnosis);
 //! println!("{}", gap_report(&document));
-//! // The loop was simulated with the model's own law: nothing is missing.
+//! // The loop was simulated with the model itself: nothing is missing.
 //! assert_eq!(document.cause.id, "none");
 //! # Ok::<(), stiction::GapError>(())
 //! ```

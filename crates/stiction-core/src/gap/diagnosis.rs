@@ -168,6 +168,9 @@ fn look_further(
 ///
 /// # Errors
 /// The record is too short, a signal is constant, an id is unknown, or a given model cannot be simulated.
+///
+/// # Panics
+/// The executor leaves out a job, or a job panics.
 pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) -> Result<Diagnosis, GapError> {
     check(record, options)?;
     if let Base::Given(model) = &options.base {

@@ -102,7 +102,7 @@ pub(crate) fn model(problem: &Problem, structure: &Structure, of: &Candidate) ->
             law: law.to_owned(),
             fs: fs * problem.normalised.span,
             fd: fd * problem.normalised.span,
-            stem0: plan.law.map(|_| stem0 * problem.normalised.span + problem.op_middle),
+            stem0: plan.law.map(|_| problem.op_of(stem0)),
         },
         process: Process {
             gain,
@@ -153,17 +153,14 @@ pub(crate) fn fit(problem: &Problem, search: &Search, floor: Option<f64>, after:
     let mut pass = PlainPass::new(problem, search.sign);
     let (mut prediction, valve) = pass.simulate(&search.structure, best)?;
     for p in &mut prediction {
-        *p = *p * problem.normalised.deviation + problem.pv_mean;
+        *p = problem.pv_of(*p);
     }
     after(&mut prediction);
-    let residual: Vec<f64> = prediction
-        .iter()
-        .zip(&problem.normalised.pv)
-        .map(|(p, y)| y * problem.normalised.deviation + problem.pv_mean - p)
-        .collect();
+    let residual: Vec<f64> =
+        prediction.iter().zip(&problem.normalised.pv).map(|(p, y)| problem.pv_of(*y) - p).collect();
     let errors = Errors::of(problem, &residual);
     let model = model(problem, &search.structure, best);
-    let valve: Vec<f64> = valve.iter().map(|v| v * problem.normalised.span + problem.op_middle).collect();
+    let valve: Vec<f64> = valve.iter().map(|v| problem.op_of(*v)).collect();
     let plan = search.structure.plan(&best.theta);
     Some(Fit {
         id: search.structure.id_in(problem),

@@ -171,8 +171,7 @@ impl Undone {
         let a = self.pole;
         let base = fit(&self.problem, search, self.floor, &|_| {})?;
         let from = problem.blocks.from.max(self.problem.blocks.from);
-        let pv: Vec<f64> =
-            problem.normalised.pv.iter().map(|y| y * problem.normalised.deviation + problem.pv_mean).collect();
+        let pv: Vec<f64> = problem.normalised.pv.iter().map(|y| problem.pv_of(*y)).collect();
         let mut prediction = base.prediction.clone();
         let mut before = prediction.get(from)?.to_owned();
         for p in &mut prediction[from..] {

@@ -43,16 +43,11 @@ pub(crate) fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> 
     let stuck = ModelError::Range { name: "fs", value: model.valve.fs, want: "small enough for OP to move the stem" };
     let best = best.ok_or(stuck.clone())?;
     let (prediction, valve) = pass.simulate(&structure, &best).ok_or(stuck)?;
-    let prediction: Vec<f64> = prediction.iter().map(|p| p * problem.normalised.deviation + problem.pv_mean).collect();
-    let residual: Vec<f64> = problem
-        .normalised
-        .pv
-        .iter()
-        .zip(&prediction)
-        .map(|(y, p)| y * problem.normalised.deviation + problem.pv_mean - p)
-        .collect();
+    let prediction: Vec<f64> = prediction.iter().map(|p| problem.pv_of(*p)).collect();
+    let residual: Vec<f64> =
+        problem.normalised.pv.iter().zip(&prediction).map(|(y, p)| problem.pv_of(*y) - p).collect();
     let errors = Errors::of(problem, &residual);
-    let valve: Vec<f64> = valve.iter().map(|v| v * problem.normalised.span + problem.op_middle).collect();
+    let valve: Vec<f64> = valve.iter().map(|v| problem.op_of(*v)).collect();
     Ok(Fit {
         id: "given".to_owned(),
         model: model.clone(),

@@ -147,6 +147,18 @@ impl Problem {
         self.drawn.as_deref().unwrap_or(&self.normalised.pv)
     }
 
+    /// OP units of a place in spans.
+    #[must_use]
+    pub(crate) fn op_of(&self, spans: f64) -> f64 {
+        spans * self.normalised.span + self.op_middle
+    }
+
+    /// PV units of a value in deviations.
+    #[must_use]
+    pub(crate) fn pv_of(&self, deviations: f64) -> f64 {
+        deviations * self.normalised.deviation + self.pv_mean
+    }
+
     /// Whether PV was measured at a point.
     #[must_use]
     pub(crate) fn is_measured(&self, k: usize) -> bool {

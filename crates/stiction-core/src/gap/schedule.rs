@@ -74,6 +74,9 @@ pub struct Work<'c> {
 
 impl Work<'_> {
     /// Runs jobs and gives their results in order.
+    ///
+    /// # Panics
+    /// The executor leaves out a job: another's result would take its place.
     pub(crate) fn all<T: Send>(&self, jobs: usize, job: impl Fn(usize) -> T + Sync) -> Vec<T> {
         let slots: Vec<Mutex<Option<T>>> = (0..jobs).map(|_| Mutex::new(None)).collect();
         self.executor.run(jobs, &|i| {
@@ -506,14 +509,11 @@ pub(crate) fn share<'g>(
 ) {
     let before: u64 = searches.iter().map(|l| l.evaluations).sum();
     let (seed, allowed) = (work.seed, work.allowed(searches.len()));
-    let made = work.all(searches.len(), |i| {
+    *searches = work.all(searches.len(), |i| {
         let mut search = Search { allowed, ..searches[i].clone() };
         let thetas = thetas(&search);
         local_search(problem, &mut search, &thetas, own(i), effort, seed);
         search
     });
-    if made.len() == searches.len() {
-        *searches = made;
-    }
     work.done += searches.iter().map(|l| l.evaluations).sum::<u64>() - before;
 }

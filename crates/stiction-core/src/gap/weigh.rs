@@ -48,7 +48,7 @@ pub struct Scales<'a> {
 impl Scales<'_> {
     /// PV as recorded.
     fn pv(&self) -> impl Iterator<Item = f64> + '_ {
-        self.problem.normalised.pv.iter().map(|y| y * self.problem.normalised.deviation + self.problem.pv_mean)
+        self.problem.normalised.pv.iter().map(|y| self.problem.pv_of(*y))
     }
 
     /// Log mean squared training error after BIC, of a squared error and a number of parameters.

@@ -15,7 +15,7 @@ pub enum NoFit {
     #[error("the record has {0} points, and a fit needs {LEAST_POINTS}; choose a longer window")]
     TooShort(usize),
     /// OP or PV has a value that is not finite.
-    #[error("a value of OP or PV is not a number; leave it out, or fill it in")]
+    #[error("OP or PV has a value that is not a number; choose a window without such values, or fill them in")]
     NotFinite,
     /// OP is constant.
     #[error("OP is constant over 99 % of the record or more; choose a window in which the controller acts")]

@@ -73,7 +73,7 @@ const RIVALS: usize = 24;
 /// The best valve and process model of a record.
 ///
 /// # Errors
-/// A signal is constant, there are too few points, or no process follows OP.
+/// The record cannot be fitted, or no model fits it.
 pub fn quantify(record: &Record, options: &Options) -> Result<Estimate, NoFit> {
     let normalised = NormalisedRecord::of(record, options)?;
     let deviation = normalised.deviation;

@@ -70,7 +70,7 @@ impl Surface {
     /// The surface of a record.
     ///
     /// # Errors
-    /// A signal is constant, or there are too few points.
+    /// The record cannot be fitted.
     pub fn new(record: &Record, options: &Options, law: Law, class: Class) -> Result<Self, NoFit> {
         Self::of_sign(record, options, law, class, None)
     }

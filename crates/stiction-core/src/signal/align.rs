@@ -533,8 +533,9 @@ impl Aligner {
     }
 }
 
-/// Aligns a whole recording of one loop to its stretches of points, oldest first. The samples come in about the order of
-/// their timestamps, all signals together: what is older than the latest by more than the lateness is dropped, and counted as late.
+/// Aligns a whole recording of one loop to its stretches of points, oldest first. Pass the samples of all signals
+/// together, roughly in the order of their timestamps: a sample older than the latest by more than the lateness is dropped
+/// and counted as late.
 #[must_use]
 pub fn align_all(samples: &[Sample], params: &AlignParams) -> (Vec<Vec<Point>>, AlignCounts) {
     let mut aligner = Aligner::new();

@@ -1,5 +1,5 @@
-//! What stands between OP and flow beside the friction of the stem: a lag before it; limited speed, stops, backlash and the
-//! valve's characteristic behind it.
+//! The parts between OP and flow other than the stem's friction: a lag before the stem; limited speed, stops, backlash and
+//! the valve's characteristic behind it.
 
 use super::steps::Path;
 

@@ -243,8 +243,8 @@ impl Stem {
         }
     }
 
-    /// Takes OP values of which only the least and the greatest are told in one where the stem rests through all of them, as
-    /// [`Stem::take`] would one by one; false, and nothing taken, where it may not.
+    /// Takes a run of OP values by its least and greatest, if the stem rests through all of it, with the same result as
+    /// [`Stem::take`] value by value. Returns false and changes nothing if the stem may move.
     #[inline]
     pub(crate) fn rests_between(&mut self, [low, high]: [f64; 2], [s, j]: [f64; 2]) -> bool {
         if self.moving {

@@ -332,7 +332,7 @@ pub struct Assessment {
     pub oscillation: Oscillation,
     /// The verdict.
     pub verdict: Verdict,
-    /// Causes that contribute beside the verdict.
+    /// Other causes that contribute.
     pub contributing: Vec<Verdict>,
     /// Whether the valve sticks; `None` if the window is inconclusive.
     pub stiction: Option<bool>,
@@ -345,13 +345,13 @@ pub struct Assessment {
     pub p_stiction: Option<f64>,
     /// The larger of p and 1 - p; `None` where `stiction` is.
     pub confidence: Option<f64>,
-    /// Validity checks that the window did not pass.
+    /// Validity checks that the window failed.
     pub gates: Vec<Gate>,
     /// Implausible properties of the model or the cycle; the model's numbers are then not given.
     pub implausible: Vec<Implausible>,
     /// Grade of the answer, A to D.
     pub grade: Option<char>,
-    /// Static band, OP units. Where `stiction` is not `Some(true)`, bands are those of a model that the verdict does not believe in.
+    /// Static band, OP units. The bands measure the valve only where `stiction` is `Some(true)`.
     pub fs: Option<f64>,
     /// Kinetic band, OP units.
     pub fd: Option<f64>,
@@ -363,7 +363,7 @@ pub struct Assessment {
     pub fs_interval: Option<[f64; 2]>,
     /// Interval of `fd`.
     pub fd_interval: Option<[f64; 2]>,
-    /// Interval of `s`; where no stiction was found it starts at 0, and its end is a bound.
+    /// Interval of `s`; where no stiction was found it starts at 0, and only its upper end means anything.
     pub s_interval: Option<[f64; 2]>,
     /// Interval of `j`.
     pub j_interval: Option<[f64; 2]>,

@@ -63,7 +63,7 @@ fn above_stop(p: &[f64], fd: f64) -> f64 {
 
 fn stop(p: &[f64], _plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
     let place = p[0] - above_stop(p, of.theta.fd);
-    vec![Parameter { name: "stop", value: place * problem.normalised.span + problem.op_middle, unit: "OP" }]
+    vec![Parameter { name: "stop", value: problem.op_of(place), unit: "OP" }]
 }
 
 #[cfg(test)]

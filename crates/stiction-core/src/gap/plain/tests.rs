@@ -79,7 +79,7 @@ fn loads_say_their_own_size_beside_any_other_part() {
     let n = problem.n();
     let size_of = |ids: [&str; 2], p: [f64; MAX_PARAMS], load: &dyn Fn(usize) -> f64, name: &str| {
         let (normalised, deviation) = (&problem.normalised, problem.normalised.deviation);
-        let op = normalised.path.values().iter().map(|u| u * problem.normalised.span + problem.op_middle).collect();
+        let op = normalised.path.values().iter().map(|u| problem.op_of(*u)).collect();
         let pv = normalised.pv.iter().enumerate().map(|(k, y)| (y + load(k)) * deviation).collect();
         let loaded = Problem::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; n]);
         let structure = Structure { law: Some(Law::He), effects: ids.map(effects::by_id) };

@@ -16,8 +16,7 @@ pub(crate) struct Sequence {
 }
 
 impl Sequence {
-    /// Runs a law with bands `bands` (s and j) over `n * per_point` OP values. The stem stands at
-    /// `at - fd (direction + uneven)`.
+    /// Runs a law with bands `[s, j]` over `n * per_point` OP values. The stem's position is `at - fd (direction + uneven)`.
     pub(crate) fn of(
         stroke: Stroke,
         law: Law,
