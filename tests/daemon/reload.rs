@@ -65,6 +65,7 @@ fn an_operator_adds_a_loop_to_a_running_daemon_sees_its_first_window_and_removes
     });
     assert_eq!(names(&daemon), ["TIC7"]);
 
+    let before = daemon.health()["config_hash"].clone();
     edit(&daemon, dir.path(), &text, ADDED);
     daemon.wait_for_log("added: FIC101");
     let first = wait_for("its first window", || {
@@ -75,7 +76,10 @@ fn an_operator_adds_a_loop_to_a_running_daemon_sees_its_first_window_and_removes
     assert_eq!(names(&daemon), ["FIC101", "TIC7"]);
 
     // A file with a fault, and one that needs a restart: neither changes anything, and both are named.
-    let hash = daemon.health()["config_hash"].clone();
+    // The health is made every few seconds: the one at hand may still be that of the old file.
+    let hash = wait_for("the new file's health", || {
+        Some(daemon.health()["config_hash"].clone()).filter(|hash| *hash != before)
+    });
     for (extra, named) in
         [("[[loop]]\nname = \"A\"\nhop_z = 1\n", "hop_z"), ("[shard]\nindex = 0\ncount = 2\n", "shard.count")]
     {
