@@ -14,7 +14,7 @@ pub fn shown(sent: &str) -> String {
             || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')
     };
     let plain: String = last.chars().filter(|c| !steers(c)).collect();
-    let plain = plain.trim().trim_start_matches(['.', '-']).trim_start();
+    let plain = plain.trim_start_matches(|c: char| c.is_whitespace() || c == '.' || c == '-').trim_end();
     let count = plain.chars().count();
     let name: String = match plain.rsplit_once('.') {
         Some((stem, ending)) if count > LONGEST && ending.chars().count() < 10 => {
@@ -23,7 +23,9 @@ pub fn shown(sent: &str) -> String {
         }
         _ => plain.chars().take(LONGEST).collect(),
     };
-    if name.is_empty() { "file".to_owned() } else { name }
+    // Where the cut left a space at the end, it goes too.
+    let name = name.trim_end();
+    if name.is_empty() { "file".to_owned() } else { name.to_owned() }
 }
 
 #[cfg(test)]
@@ -57,10 +59,13 @@ mod tests {
             ("/", "file"),
             ("--out=x.csv", "out=x.csv"),
             ("a\u{202e}vsc.exe", "avsc.exe"),
+            ("- -x.csv", "x.csv"),
         ] {
             assert_eq!(shown(sent), name, "{sent}");
         }
         let long = shown(&format!("{}.csv", "x".repeat(500)));
         assert!(long.ends_with("x.csv") && long.len() == LONGEST);
+        let cut_at_a_space = format!("{} {}", "x".repeat(LONGEST - 1), "y".repeat(20));
+        assert_eq!(shown(&cut_at_a_space), "x".repeat(LONGEST - 1));
     }
 }
