@@ -47,7 +47,9 @@ impl<'a> Points<'a> {
             pairs.map(|(pv, p)| p.map_or(f64::NAN, |p| pv - p)).collect()
         };
         let before = left(&predictions.pv_base);
-        let held = |k: &usize| predictions.held_out.get(*k).copied().unwrap_or(false) && before[*k].is_finite();
+        let held = |k: &usize| {
+            of.diagnosis.findings.blocks.held_out.get(*k).copied().unwrap_or(false) && before[*k].is_finite()
+        };
         let tested: Vec<usize> = (0..before.len()).filter(held).collect();
         let ts = record.point_s();
         let mut stretches: Vec<[f64; 2]> = Vec::new();
@@ -119,7 +121,7 @@ fn runs(p: &Points<'_>) -> Made {
         series.push(line("with the cause", &after, Ink::Fit, Mark::Line));
     }
     let op = record.op();
-    let valve = &p.of.diagnosis.base.valve;
+    let valve = &p.of.diagnosis.findings.base.valve;
     let below = vec![line("OP", &op, Ink::Op, Mark::Line), line("base's valve", valve, Ink::Mv, Mark::Steps)];
     if let Some(sp) = &record.sp {
         series.insert(0, line("SP", sp, Ink::Sp, Mark::Steps));
@@ -189,7 +191,7 @@ fn phases(of: &Diagnosed) -> Made {
 }
 
 fn since_slip(p: &Points<'_>) -> Made {
-    let slips = &p.of.diagnosis.base.slips;
+    let slips = &p.of.diagnosis.findings.base.slips;
     let ts = p.of.record.point_s();
     let since = |k: usize| {
         let behind = slips.partition_point(|s| s.point <= k);

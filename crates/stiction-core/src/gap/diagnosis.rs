@@ -4,29 +4,26 @@ use std::collections::BTreeMap;
 use std::{iter, mem};
 
 use super::break_away::{self, Replay};
-use super::decide;
+use super::decide::Decision;
 use super::effects::{self, Way};
-use super::evidence::{Basis, Evidence, Left};
+use super::evidence::{Basis, Left};
 use super::express::{above_floor, fit};
 use super::filter::{self, Filtered};
 use super::forward::{fitted_to_first_part, refitted};
 use super::given;
-use super::judged::Diagnosis;
+use super::judged::{Diagnosis, Findings, Runs, Spent};
 use super::loop_run;
 use super::neighbours::{self, Offered};
 use super::next_test::next_test;
 use super::noise;
 use super::pairs;
-use super::probability::Calibration;
 use super::problem::{Problem, period_of};
 use super::schedule::{self, Found, Work, residual_at, residual_of};
 use super::search::Search;
 use super::signatures;
 use super::stages;
 use super::traces::Traces;
-use super::types::{
-    Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, GapOptions, Predictions, UNKNOWN,
-};
+use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, GapOptions, UNKNOWN};
 use super::weigh::{Scales, sort_by_lead};
 use crate::ident::controller;
 use crate::record::Record;
@@ -75,6 +72,11 @@ impl Searched {
     fn tells_nothing(&self) -> bool {
         let base = || fit(&self.problem, &self.found.base, None, &|_| {});
         !self.traces.noise_shows && base().is_none_or(|base| base.rmse > self.problem.normalised.deviation)
+    }
+
+    /// The search of an effect or pair.
+    fn search_of(&self, id: &str) -> Option<&Search> {
+        self.found.searches.iter().find(|search| search.structure.id_in(&self.problem) == id)
     }
 
     fn scales<'a>(&'a self, base: &'a Fit, seed: u64) -> Scales<'a> {
@@ -181,27 +183,28 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let searched = search_where_measured(record, options, &mut work)?;
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
     let Some(mut searched) = searched else { return Err(no_base) };
-    let base_fit = fit_to_all(&searched.problem, &searched.found.base, &mut work);
-    let looked = look_further(record, options, &mut searched, base_fit.as_ref(), &mut work);
+    let base_to_all = fit_to_all(&searched.problem, &searched.found.base, &mut work);
+    let looked = look_further(record, options, &mut searched, base_to_all.as_ref(), &mut work);
     let base = fit(&searched.problem, &searched.found.base, searched.floor.noise_floor, &|_| {}).ok_or(no_base)?;
-    let mut made = weigh_all(record, options, &searched, looked, base, &mut work)?;
-    made.fits_to_all.extend(base_fit);
-    made.settle(&[]);
-    try_pairs(options, &mut searched, &mut made, &mut work);
-    let replay = try_random_friction(record, options, &searched, &mut made, &mut work);
-    run_forward(record, &searched, &mut made, &mut work);
-    fit_cause(&searched, replay, &mut made, &mut work);
-    made.confirm();
-    made.next_test = next_test(&searched.problem, &searched.found, &made);
-    made.evaluations = work.done;
-    made.stopped_early = work.stopped || work.spent;
-    if work.stopped {
-        made.ended = Ended::Stopped;
-    }
-    Ok(made)
+    let findings = weigh_all(record, options, &searched, looked, base, &mut work)?;
+    let findings = with_pairs(options, &mut searched, findings, &mut work);
+    let (findings, replay) =
+        with_random_friction(record, options, &searched, findings, base_to_all.as_ref(), &mut work);
+    let decision = findings.decide(&[]);
+    let mut runs = run_forward(record, &searched, &findings, &decision, &mut work);
+    runs.fits_to_all.extend(base_to_all);
+    runs.fits_to_all.extend(fit_cause(&searched, &decision, replay, runs.fits_to_all.first(), &mut work));
+    runs.next_test = next_test(&searched.problem, &searched.found, &findings, &decision);
+    let spent = Spent {
+        evaluations: work.done,
+        budget,
+        ended: if work.stopped { Ended::Stopped } else { searched.found.ended },
+        stopped_early: work.stopped || work.spent,
+    };
+    Ok(Diagnosis::new(findings, decision, runs, spent))
 }
 
-/// Weighs everything that was found against the base. The answer is a placeholder until it is settled.
+/// Weighs everything that was found against the base.
 fn weigh_all(
     record: &Record,
     options: &GapOptions,
@@ -209,7 +212,7 @@ fn weigh_all(
     looked: Looked,
     base: Fit,
     work: &mut Work<'_>,
-) -> Result<Diagnosis, GapError> {
+) -> Result<Findings, GapError> {
     let Searched { traces, problem, floor, found } = searched;
     let given = match &options.base {
         Base::Given(model) => Some(given::simulate(problem, model, floor.noise_floor)?),
@@ -226,89 +229,74 @@ fn weigh_all(
     let (compared, loads) = offered.map(|o| (o.compared, o.loads)).unzip();
     let mut basis = basis(record, searched, &base, &effects, seen.as_ref(), floor_owes, options);
     basis.acts = compared.as_ref().and_then(|c| c.acts.as_deref()).map(effects::neighbour::id_of);
-    let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
-    Ok(Diagnosis {
+    Ok(Findings {
         relative_gap: base.gap / problem.normalised.deviation,
-        predictions: Predictions {
-            pv_base: Vec::new(),
-            pv_after: Vec::new(),
-            held_out: problem.blocks.held_out.clone(),
-            masked: problem.blocks.masked.clone(),
-        },
-        model_after: base.model.clone(),
-        fits_to_all: Vec::new(),
         base,
         given,
         effects,
-        cause: nothing.cause,
-        second: nothing.second,
-        alternatives: nothing.alternatives,
-        features: nothing.features,
-        forward: None,
-        from_sp: None,
         pairs: Vec::new(),
-        evaluations: 0,
-        budget_evaluations: options.budget_evaluations,
-        ended: found.ended,
-        stopped_early: false,
         floor: *floor,
         blocks: problem.blocks.clone(),
         signatures: traces.signatures.clone(),
-        noise_models: basis.noise,
         stages: seen.map(|s| s.stages),
-        next_test: None,
-        loads: loads.unwrap_or_default(),
-        neighbours: compared,
         basis,
+        neighbours: compared,
+        loads: loads.unwrap_or_default(),
     })
 }
 
-/// Tries two effects at once where one leaves more than noise, or where that is asked for.
-fn try_pairs(options: &GapOptions, searched: &mut Searched, made: &mut Diagnosis, work: &mut Work<'_>) {
-    if !options.pairs && !made.leaves_more() {
-        return;
+/// With two effects at once, where one leaves more than noise, or where that is asked for.
+fn with_pairs(options: &GapOptions, searched: &mut Searched, findings: Findings, work: &mut Work<'_>) -> Findings {
+    if !options.pairs && !findings.leaves_more(&findings.decide(&[])) {
+        return findings;
     }
     work.begin(options.budget_evaluations);
-    let (weighed, searches) =
-        pairs::run(&searched.problem, &searched.found, &searched.scales(&made.base, options.seed), work);
-    made.pairs = weighed;
-    made.settle(&[]);
+    let (pairs, searches) =
+        pairs::run(&searched.problem, &searched.found, &searched.scales(&findings.base, options.seed), work);
     searched.found.searches.extend(searches);
+    Findings { pairs, ..findings }
 }
 
-/// Replays OP with a band of its own for each slip, where nothing else is named.
-fn try_random_friction(
+/// With a replay of OP that has a band of its own for each slip, where nothing else is named.
+fn with_random_friction(
     record: &Record,
     options: &GapOptions,
     searched: &Searched,
-    made: &mut Diagnosis,
+    findings: Findings,
+    base_to_all: Option<&Fit>,
     work: &mut Work<'_>,
-) -> Option<Replay> {
+) -> (Findings, Option<Replay>) {
     let random = &effects::random_friction::EFFECT;
-    let (base, floor) = (made.fits_to_all.first()?, made.floor.noise_floor?);
-    if !options.asks(random.id) || made.cause.id != UNKNOWN || made.base.at_floor || work.stopped {
-        return None;
+    let (Some(base), Some(floor)) = (base_to_all, findings.floor.noise_floor) else { return (findings, None) };
+    let is_open = !findings.base.at_floor && findings.decide(&[]).cause.id == UNKNOWN;
+    if !options.asks(random.id) || !is_open || work.stopped {
+        return (findings, None);
     }
     let problem = &searched.problem;
     let found = work.all(break_away::SEARCHES, |which| break_away::search(record, base, problem.blocks.from, which));
-    let replay = break_away::judge(record, problem, base, floor, found.into_iter().flatten())?;
-    let result = searched.scales(&made.base, options.seed).replayed(random, &replay);
-    made.effects.push(result);
-    sort_by_lead(&mut made.effects);
-    made.basis.random_bands = true;
-    made.settle(&[]);
-    Some(replay)
+    let Some(replay) = break_away::judge(record, problem, base, floor, found.into_iter().flatten()) else {
+        return (findings, None);
+    };
+    let result = searched.scales(&findings.base, options.seed).replayed(random, &replay);
+    let Findings { mut effects, basis, .. } = findings;
+    effects.push(result);
+    sort_by_lead(&mut effects);
+    (Findings { effects, basis: Basis { random_bands: true, ..basis }, ..findings }, Some(replay))
 }
 
-/// Fits the base with the cause to all of the record, or takes the replay's fit.
-fn fit_cause(searched: &Searched, replay: Option<Replay>, made: &mut Diagnosis, work: &mut Work<'_>) {
-    let Searched { problem, found, .. } = searched;
-    let is_cause = |search: &&Search| !made.fits_to_all.is_empty() && search.structure.id_in(problem) == made.cause.id;
-    let cause = found.searches.iter().find(is_cause);
-    let fitted = cause.and_then(|search| fit_to_all(problem, search, work));
-    let is_replayed = made.cause.id == effects::random_friction::EFFECT.id;
-    let replayed = replay.filter(|_| is_replayed).map(|replay| replay.fit);
-    made.fits_to_all.extend(fitted.or(replayed));
+/// The base with the cause on all of the record, or the replay's fit; `None` where the base has none.
+fn fit_cause(
+    searched: &Searched,
+    decision: &Decision,
+    replay: Option<Replay>,
+    base_to_all: Option<&Fit>,
+    work: &mut Work<'_>,
+) -> Option<Fit> {
+    base_to_all?;
+    let (problem, cause) = (&searched.problem, &decision.cause.id);
+    let fitted = searched.search_of(cause).and_then(|search| fit_to_all(problem, search, work));
+    let replayed = replay.filter(|_| *cause == effects::random_friction::EFFECT.id).map(|replay| replay.fit);
+    fitted.or(replayed)
 }
 
 /// The best of a search, fitted to all of the record; `None` where that was stopped, or no place is found.
@@ -438,18 +426,26 @@ fn excited(record: &Record, problem: &Problem) -> bool {
 }
 
 /// Base and cause fitted to the first part alone: the run over the rest from OP, and from SP.
-fn run_forward(record: &Record, searched: &Searched, made: &mut Diagnosis, work: &mut Work<'_>) {
-    let Searched { problem, found, .. } = searched;
-    let cause = found.searches.iter().find(|l| l.structure.id_in(problem) == made.cause.id);
+fn run_forward(
+    record: &Record,
+    searched: &Searched,
+    findings: &Findings,
+    decision: &Decision,
+    work: &mut Work<'_>,
+) -> Runs {
+    let cause = searched.search_of(&decision.cause.id);
     if work.stopped || cause.is_none() && !loop_run::sp_moves(record) {
-        return;
+        return Runs::default();
     }
-    let floor = made.floor.noise_floor;
-    let searches: Vec<_> = iter::once(&found.base).chain(cause).collect();
-    let Some(first) = fitted_to_first_part(problem, &searches, floor, work) else { return };
-    made.from_sp = loop_run::from_sp(record, &first);
-    if let [base, cause] = first.fits.as_slice() {
-        let [gap_before, gap_after] = [base, cause].map(|fit| above_floor(fit.rmse, floor));
-        made.forward = Some(Forward { gap_before, gap_after });
-    }
+    let floor = findings.floor.noise_floor;
+    let searches: Vec<_> = iter::once(&searched.found.base).chain(cause).collect();
+    let Some(first) = fitted_to_first_part(&searched.problem, &searches, floor, work) else { return Runs::default() };
+    let forward = match first.fits.as_slice() {
+        [base, cause] => {
+            let [gap_before, gap_after] = [base, cause].map(|fit| above_floor(fit.rmse, floor));
+            Some(Forward { gap_before, gap_after })
+        }
+        _ => None,
+    };
+    Runs { forward, from_sp: loop_run::from_sp(record, &first), ..Runs::default() }
 }

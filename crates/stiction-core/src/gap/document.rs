@@ -14,7 +14,6 @@ use super::loop_run::Cycles;
 use super::model::Model;
 use super::pool::WindowNote;
 use super::sizes::{Quantity, share_left};
-use super::structure::BASE;
 use super::types::{
     Alternative, Base, Cause, Compared, EffectResult, Ended, Fit, Forward, FromSp, GapOptions, NONE, NextTest,
     NoiseModels, Parameter, Stage, UNKNOWN,
@@ -324,27 +323,28 @@ impl GapDocument {
     /// Makes the document of a diagnosis of a record with these options.
     #[must_use]
     pub fn new(loop_name: &str, record: &Record, options: &GapOptions, diagnosis: &Diagnosis) -> Self {
-        let [effects, pairs] =
-            [&diagnosis.effects, &diagnosis.pairs].map(|all| all.iter().map(EffectNote::of).collect::<Vec<_>>());
+        let [effects, pairs] = [&diagnosis.findings.effects, &diagnosis.findings.pairs]
+            .map(|all| all.iter().map(EffectNote::of).collect::<Vec<_>>());
         let closed_loop = super::loop_run::cycles(record, diagnosis);
         let budget = Budget::of(record, known(diagnosis));
         let explained = closed_loop.as_ref().map(|cycles| cycles.controller.r2);
-        let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.base.slips, explained));
+        let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.findings.base.slips, explained));
         let cause = CauseNote::of(diagnosis, tellable.as_ref());
         let named = effects.iter().chain(&pairs).find(|e| e.id == cause.id);
         let named = named.map(|e| (&e.parameters, cause.confirmed));
-        let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures, named));
+        let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.findings.signatures, named));
         let deviation = stats::std_dev(&record.pv);
-        let figures = |fit: &Fit| Figures::of(fit, diagnosis.floor.noise_floor, deviation);
-        let given = diagnosis.given.as_ref().map(figures);
+        let spent = diagnosis.spent;
+        let figures = |fit: &Fit| Figures::of(fit, diagnosis.findings.floor.noise_floor, deviation);
+        let given = diagnosis.findings.given.as_ref().map(figures);
         Self {
             schema: GAP_SCHEMA.to_owned(),
             loop_name: loop_name.to_owned(),
             window: Window::of(record),
-            base: BaseNote::of(&options.base, &diagnosis.base),
-            gap: figures(&diagnosis.base),
+            base: BaseNote::of(&options.base, &diagnosis.findings.base),
+            gap: figures(&diagnosis.findings.base),
             given,
-            parametric: given.map(|g| g.gap - diagnosis.base.gap),
+            parametric: given.map(|g| g.gap - diagnosis.findings.base.gap),
             location: locate(record, &Subject::of(diagnosis, options.period_points, options.seed)),
             effects,
             cause,
@@ -353,22 +353,18 @@ impl GapDocument {
             forward: diagnosis.forward.map(ForwardNote::of),
             model_after: ModelAfter::of(&diagnosis.model_after),
             next_test: diagnosis.next_test.as_ref().map(TestNote::of),
-            evaluations: diagnosis.evaluations,
-            search: SearchNote {
-                evaluations: diagnosis.evaluations,
-                budget: diagnosis.budget_evaluations,
-                ended: diagnosis.ended,
-            },
-            stopped_early: diagnosis.stopped_early,
+            evaluations: spent.evaluations,
+            search: SearchNote { evaluations: spent.evaluations, budget: spent.budget, ended: spent.ended },
+            stopped_early: spent.stopped_early,
             pairs,
-            noise_models: NoiseNote::of(&diagnosis.noise_models),
+            noise_models: NoiseNote::of(&diagnosis.findings.basis.noise),
             closed_loop,
             from_sp: diagnosis.from_sp,
             budget,
             tellable,
-            typical: Known::shipped().note(&typical::place(&diagnosis.basis, &diagnosis.features)),
+            typical: Known::shipped().note(&typical::place(&diagnosis.findings.basis, &diagnosis.features)),
             pooled: Vec::new(),
-            neighbours: diagnosis.neighbours.clone(),
+            neighbours: diagnosis.findings.neighbours.clone(),
             version: crate::VERSION.to_owned(),
         }
     }
@@ -393,14 +389,12 @@ impl GapDocument {
 
 /// What the diagnosis knows for the budget: the models fitted to the whole record, PV's noise and the loads.
 fn known(diagnosis: &Diagnosis) -> budget::Known<'_> {
-    // Pooled windows may have decided on another cause.
-    let is_current = |fit: &&Fit| [BASE, diagnosis.cause.id.as_str()].contains(&fit.id.as_str());
     budget::Known {
-        models: &diagnosis.fits_to_all[..diagnosis.fits_to_all.iter().take_while(is_current).count()],
-        from: diagnosis.blocks.from,
+        models: &diagnosis.fits_to_all,
+        from: diagnosis.findings.blocks.from,
         period: None,
-        noise_sd: diagnosis.floor.noise_sd,
-        loads: &diagnosis.loads,
+        noise_sd: diagnosis.findings.floor.noise_sd,
+        loads: &diagnosis.findings.loads,
     }
 }
 

@@ -77,7 +77,7 @@ pub struct Cycles {
 #[must_use]
 pub fn cycles(record: &Record, diagnosis: &Diagnosis) -> Option<Cycles> {
     let reading = controller::read(record)?;
-    let noise_sd = diagnosis.floor.noise_sd.unwrap_or(0.0);
+    let noise_sd = diagnosis.findings.floor.noise_sd.unwrap_or(0.0);
     let after = &diagnosis.model_after;
     Some(Cycles {
         controller: ControllerNote {
@@ -87,7 +87,7 @@ pub fn cycles(record: &Record, diagnosis: &Diagnosis) -> Option<Cycles> {
             r2: reading.r2,
         },
         measured: cycle(&record.op(), &record.pv, record.point_s()),
-        before: run(&diagnosis.base.model, &reading, record, noise_sd),
+        before: run(&diagnosis.findings.base.model, &reading, record, noise_sd),
         after: if after.effects.is_empty() { None } else { run(after, &reading, record, noise_sd) },
     })
 }

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use super::candidate::{Candidate, Linear};
-use super::judged::Diagnosis;
+use super::decide::Decision;
+use super::judged::Findings;
 use super::plain::PlainPass;
 use super::problem::Problem;
 use super::schedule::Found;
@@ -27,22 +28,27 @@ const MOST: f64 = 2.0;
 /// is worse than PV's mean, or where no bump tells them apart that OP may be asked and that keeps PV and its duration within
 /// the guard of bump tests.
 #[must_use]
-pub(crate) fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> Option<NextTest> {
-    if made.relative_gap > 1.0 {
+pub(super) fn next_test(
+    problem: &Problem,
+    found: &Found,
+    findings: &Findings,
+    decision: &Decision,
+) -> Option<NextTest> {
+    if findings.relative_gap > 1.0 {
         return None;
     }
     let lane_of = |id: &str| {
         if id == NONE { Some(&found.base) } else { found.searches.iter().find(|l| l.structure.id_in(problem) == id) }
     };
     // What the recorder or the noise did is settled elsewhere.
-    if made.cause.id != UNKNOWN && lane_of(&made.cause.id).is_none() {
+    if decision.cause.id != UNKNOWN && lane_of(&decision.cause.id).is_none() {
         return None;
     }
-    let ids = core::iter::once(&made.cause.id).chain(made.alternatives.iter().map(|a| &a.id));
+    let ids = core::iter::once(&decision.cause.id).chain(decision.alternatives.iter().map(|a| &a.id));
     let mut known = ids.filter_map(|id| Some((id, lane_of(id)?)));
     let ((name, first), (rival, second)) = (known.next()?, known.next()?);
     let best = first.best.first()?;
-    let noise = made.floor.noise_floor.unwrap_or(made.base.rmse) / problem.normalised.deviation;
+    let noise = findings.floor.noise_floor.unwrap_or(findings.base.rmse) / problem.normalised.deviation;
     let settles = best.theta.lag + 3.0 * libm::exp(best.theta.log_tau).min(problem.period);
     let hold = settles.ceil() as usize + 2;
     let duration_s = hold as f64 * problem.point_s;

@@ -133,13 +133,7 @@ impl Diagnosis {
     /// This window's diagnosis with the answer of several, of which it is one.
     #[must_use]
     pub fn with_answer_of(&self, together: &Together) -> Self {
-        let mut diagnosis = self.clone();
-        if diagnosis.cause.id != together.cause.id {
-            diagnosis.drop_runs_of_cause();
-        }
-        diagnosis.follow(together.decision.clone());
-        diagnosis.cause = together.cause.clone();
-        diagnosis
+        Self { cause: together.cause.clone(), ..self.deciding(together.decision.clone()) }
     }
 }
 

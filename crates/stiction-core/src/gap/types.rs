@@ -437,10 +437,6 @@ pub struct Predictions {
     pub pv_base: Vec<Option<f64>>,
     /// With the cause; the base's own for `none` and `unknown`.
     pub pv_after: Vec<Option<f64>>,
-    /// Held out.
-    pub held_out: Vec<bool>,
-    /// Excluded from everything.
-    pub masked: Vec<bool>,
 }
 
 /// Noise models of the base's residual.

@@ -22,7 +22,7 @@ pub(super) fn ask_for(name: &str, record: &Record, options: &GapOptions) -> anyh
 /// The answer for a recording; a failed diagnosis gives the reason.
 pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagnosis, GapDocument)>) -> Value {
     let answer = match result {
-        Ok((diagnosis, document)) => json!({ "document": document, "base_at_floor": diagnosis.base.at_floor,
+        Ok((diagnosis, document)) => json!({ "document": document, "base_at_floor": diagnosis.findings.base.at_floor,
             "evidence": diagnosis.evidence(), "withheld": withheld(diagnosis) }),
         Err(error) => json!({ "document": null, "error": format!("{error:#}"), "withheld": [] }),
     };

@@ -184,7 +184,7 @@ fn case(args: &Args, kind: Kind, number: u64) -> anyhow::Result<Option<Case>> {
             share: document.neighbours.as_ref().and_then(|n| n.share),
             fitted: document.neighbours.as_ref().map_or(0, |n| n.fitted.len()),
             closed_pct: document.named().and_then(|e| e.closed_pct),
-            over_floor: made.floor.noise_floor.map(|floor| made.base.rmse_train / floor),
+            over_floor: made.findings.floor.noise_floor.map(|floor| made.findings.base.rmse_train / floor),
         })
     };
     let withheld = ask(others.clone())?;

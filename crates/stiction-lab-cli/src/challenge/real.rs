@@ -174,6 +174,7 @@ fn hide(record: &Record, options: &GapOptions) -> anyhow::Result<Value> {
     let blind = diagnose(&Record { mv: None, ..record.clone() }, options, &Serial)?;
     let seen = diagnose(record, options, &Serial)?;
     let gaps = seen
+        .findings
         .stages
         .as_ref()
         .map(|s| json!({ "op_to_mv_pct": s.op_to_mv, "mv_to_pv": s.mv_to_pv, "stage": s.stage.name() }));

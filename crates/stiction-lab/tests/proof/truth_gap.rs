@@ -110,10 +110,10 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
         let loop_record = record(model.clone(), 800, seed);
         let found = diagnose(&loop_record, &GapOptions::default(), &Two).unwrap();
         assert_eq!(found.cause.id, "none", "{seed}: {:?}", found.cause);
-        assert!(found.base.at_floor, "{} {:?}", found.base.rmse_train, found.floor);
+        assert!(found.findings.base.at_floor, "{} {:?}", found.findings.base.rmse_train, found.findings.floor);
         // Bands fitted to half of the record may time one slip of the other half a sample off.
-        assert!(found.base.rmse < 1.3 * model.pv_noise_sd, "{}", found.base.rmse);
-        let valve = &found.base.model.valve;
+        assert!(found.findings.base.rmse < 1.3 * model.pv_noise_sd, "{}", found.findings.base.rmse);
+        let valve = &found.findings.base.model.valve;
         let (s, truth) = (valve.fs + valve.fd, model.valve.fs + model.valve.fd);
         assert!((s / truth - 1.0).abs() < 0.03, "{s} {truth}");
         // SP moves by several noise deviations, and the loop answers as its model does.
@@ -127,10 +127,15 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
             ..GapOptions::default()
         };
         let again = diagnose(&loop_record, &options, &Two).unwrap();
-        let given = again.given.unwrap();
+        let given = again.findings.given.unwrap();
         // The bands are written as the middle of what gives the same slips, the stem before the record as one place.
-        assert!((given.rmse / found.base.rmse - 1.0).abs() < 0.15, "{} {}", given.rmse, found.base.rmse);
-        assert!(again.base.rmse_train <= given.rmse_train * 1.000_001);
+        assert!(
+            (given.rmse / found.findings.base.rmse - 1.0).abs() < 0.15,
+            "{} {}",
+            given.rmse,
+            found.findings.base.rmse
+        );
+        assert!(again.findings.base.rmse_train <= given.rmse_train * 1.000_001);
     }
 }
 
@@ -161,9 +166,12 @@ fn what_was_added_is_named_and_closes_the_gap() {
         let better = |from_sp: FromSp| from_sp.after_pct.is_none_or(|after| after > from_sp.base_pct);
         assert!(found.from_sp.is_none_or(better), "{id}: {:?}", found.from_sp);
         println!("{id}: {:?}, closed {:?}", found.cause, found.named().and_then(|e| e.closed_pct));
-        for e in found.effects.iter().take(4) {
+        for e in found.findings.effects.iter().take(4) {
             let left = e.fit.as_ref().map(|f| f.rmse_train);
-            println!("  {} leads by {:.2}, leaves {left:?} of floor {:?}", e.id, e.lead, found.floor.noise_floor);
+            println!(
+                "  {} leads by {:.2}, leaves {left:?} of floor {:?}",
+                e.id, e.lead, found.findings.floor.noise_floor
+            );
         }
         right += usize::from(named && closes);
         if named {
@@ -214,9 +222,9 @@ fn a_few_stored_values_tell_what_the_recorder_made_of_the_gap() {
         let bands = (5..60).map(|tenths| 0.1 * f64::from(tenths));
         compressed.pv = bands.map(|b| held(&compressed.pv, b)).find(|pv| stored(pv) < 36).unwrap();
         let told = diagnose(&compressed, &GapOptions::default(), &Two).unwrap();
-        assert_eq!((told.cause.id.as_str(), told.floor.noise_floor), ("hold_compression", None), "{seed}");
+        assert_eq!((told.cause.id.as_str(), told.findings.floor.noise_floor), ("hold_compression", None), "{seed}");
         assert_eq!(told.second, None, "so few can all be met by anything");
-        let recorder = told.effects.iter().find(|e| e.id == "hold_compression").unwrap();
+        let recorder = told.findings.effects.iter().find(|e| e.id == "hold_compression").unwrap();
         // Where no model can be fitted to so few, nothing is said of what they make of the gap.
         all.extend(recorder.closed_pct);
     }
@@ -231,7 +239,7 @@ fn a_slow_lag_in_place_of_an_integrator_keeps_its_initial_state() {
         model.process = ProcessModel { gain: 0.04, integrating: true, ..model.process };
         model.controller = PidSettings { kc: 2.0, ti_s: 60.0, ..model.controller };
         let told = told(model, 900, seed);
-        assert!(told.relative_gap < 0.5, "seed {seed}: {} of PV's deviation", told.relative_gap);
+        assert!(told.findings.relative_gap < 0.5, "seed {seed}: {} of PV's deviation", told.findings.relative_gap);
     }
 }
 
@@ -258,7 +266,7 @@ fn a_heavy_stem_is_followed_by_its_own_law_and_not_without_its_mass() {
             let model = Model { schema: SCHEMA.to_owned(), ts_s: 1.0, valve, process, effects };
             let options =
                 GapOptions { base: Base::Given(Box::new(model)), budget_evaluations: 1, ..GapOptions::default() };
-            diagnose(&loop_record, &options, &Two).unwrap().given.unwrap().rmse
+            diagnose(&loop_record, &options, &Two).unwrap().findings.given.unwrap().rmse
         };
         let (own, bare) = (left(0.6), left(0.0));
         assert!(own < 1.15 * heavy.pv_noise_sd && bare > 2.0 * own, "{seed}: {own} {bare}");
@@ -285,10 +293,10 @@ fn stems_that_no_pair_of_bands_imitates_are_found_from_nothing() {
         let noise = model.pv_noise_sd;
         let loop_record = record(model, 900, seed as u64 + 1);
         let found = diagnose(&loop_record, &GapOptions::default(), &Two).unwrap();
-        let own = found.effects.iter().find(|e| e.id == id).and_then(|e| e.fit.as_ref()).unwrap();
+        let own = found.findings.effects.iter().find(|e| e.id == id).and_then(|e| e.fit.as_ref()).unwrap();
         println!(
             "{id}: {:?}, base leaves {} of {noise}, with it {}",
-            found.cause, found.base.rmse_train, own.rmse_train
+            found.cause, found.findings.base.rmse_train, own.rmse_train
         );
         let named = found.cause.id == id && own.rmse_train < 1.15 * noise;
         right += usize::from(named);
@@ -296,7 +304,7 @@ fn stems_that_no_pair_of_bands_imitates_are_found_from_nothing() {
             // What is written down leaves as little.
             let base = Base::Given(Box::new(found.model_after.clone()));
             let options = GapOptions { base, budget_evaluations: 1, ..GapOptions::default() };
-            let again = diagnose(&loop_record, &options, &Two).unwrap().given.unwrap();
+            let again = diagnose(&loop_record, &options, &Two).unwrap().findings.given.unwrap();
             println!("  given back {} for {}", again.rmse_train, own.rmse_train);
             assert!(again.rmse_train < 1.4 * own.rmse_train, "{} {}", again.rmse_train, own.rmse_train);
         }
@@ -313,10 +321,10 @@ fn answers_depend_on_the_work_and_not_on_who_does_it() {
     assert_eq!(one, diagnose(&loop_record, &options, &Two).unwrap());
     // A search that was ended from outside is found again from the evaluations it had done.
     let cut = diagnose(&loop_record, &GapOptions::default(), &Until(5_000)).unwrap();
-    assert!(cut.stopped_early && cut.evaluations >= 5_000);
-    assert_eq!(cut, diagnose(&loop_record, &GapOptions::default(), &Until(cut.evaluations)).unwrap());
+    assert!(cut.spent.stopped_early && cut.spent.evaluations >= 5_000);
+    assert_eq!(cut, diagnose(&loop_record, &GapOptions::default(), &Until(cut.spent.evaluations)).unwrap());
     // A budget is kept but for the base and the last steps.
-    assert!(one.evaluations < 90_000, "{}", one.evaluations);
+    assert!(one.spent.evaluations < 90_000, "{}", one.spent.evaluations);
 }
 
 #[test]

@@ -25,8 +25,12 @@ pub(crate) fn budget(record: &Record) -> Option<(Budget, Option<(String, bool)>)
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let options = GapOptions { period_points: period, budget_evaluations: FEW, ..GapOptions::default() };
     let made = diagnose(record, &options, &Serial).ok()?;
-    let known =
-        Known { models: &made.fits_to_all, from: made.blocks.from, noise_sd: made.floor.noise_sd, ..Known::default() };
+    let known = Known {
+        models: &made.fits_to_all,
+        from: made.findings.blocks.from,
+        noise_sd: made.findings.floor.noise_sd,
+        ..Known::default()
+    };
     let budget = Budget::of(record, known)?;
     let cause = budget.model.cause(&budget.series).map(|(run, _)| (run.id.clone(), made.cause.confirmed));
     Some((budget, cause))

@@ -76,9 +76,9 @@ fn what_several_windows_show_is_the_answer_and_the_clearest_is_shown() {
     // A frozen sensor in one window may be chance; in two it is the answer.
     let mut frozen = each.clone();
     let trace = "frozen_sensor".to_owned();
-    frozen[0].2.basis.traces = vec![trace.clone()];
+    frozen[0].2.findings.basis.traces = vec![trace.clone()];
     assert_eq!(together(&frozen).unwrap().cause.id, NONE);
-    frozen[2].2.basis.traces = vec![trace.clone()];
+    frozen[2].2.findings.basis.traces = vec![trace.clone()];
     assert_eq!(together(&frozen).unwrap().cause.id, trace);
 }
 

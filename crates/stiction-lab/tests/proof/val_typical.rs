@@ -42,12 +42,12 @@ fn what_decisions_are_made_from_is_written() {
     let mut file = std::fs::File::create(path).unwrap();
     for (name, record) in records() {
         let Some(d) = diagnosed(&record) else { continue };
-        let (base, noise) = (d.basis.base, d.basis.noise);
+        let (base, noise) = (d.findings.basis.base, d.findings.basis.noise);
         let row = serde_json::json!({
             "name": name, "cause": d.cause.id, "p": d.cause.probability, "features": d.features.values().to_vec(),
             "base": [base.over_floor, base.held_over_floor, Some(base.colour), Some(base.with_op)],
             "noise": [noise.over_base, noise.over_best, noise.beyond_first],
-            "points": record.len(), "relative": d.relative_gap, "period": d.blocks.length,
+            "points": record.len(), "relative": d.findings.relative_gap, "period": d.findings.blocks.length,
         });
         writeln!(file, "{row}").unwrap();
         file.flush().unwrap();

@@ -20,10 +20,10 @@ pub struct Row {
 
 fn row(diagnosis: &Diagnosis, record: &Record, t_ns: i64, k: usize) -> Row {
     let predictions = &diagnosis.predictions;
-    let flag = |mask: &[bool]| mask.get(k).copied().unwrap_or(false);
+    let is_held_out = diagnosis.findings.blocks.held_out.get(k).copied().unwrap_or(false);
     let value = |x: &[Option<f64>]| x.get(k).copied().flatten().filter(|v| v.is_finite());
     let simulated = value(&predictions.pv_base).zip(value(&predictions.pv_after)).map(|(a, b)| [a, b]);
-    Row { t_ns, pv: record.pv[k], simulated, held_out: simulated.is_some() && flag(&predictions.held_out) }
+    Row { t_ns, pv: record.pv[k], simulated, held_out: simulated.is_some() && is_held_out }
 }
 
 /// A row for every sample of the section. Free runs are given where they count: not while the valve's unknown past matters,

@@ -225,7 +225,7 @@ mod tests {
         assert!(made.cause.id == "random_friction" && !made.cause.confirmed, "{:?}", made.cause);
         let value = |name: &str| made.named().unwrap().parameters.iter().find(|p| p.name == name).unwrap().value;
         assert!((value("median_fs") - 2.5).abs() < 0.4 && (value("spread") - 0.3).abs() < 0.12, "{:?}", made.named());
-        let left = |fit: &Fit| variance_of(&record.pv, &fit.prediction, made.blocks.from).sqrt();
+        let left = |fit: &Fit| variance_of(&record.pv, &fit.prediction, made.findings.blocks.from).sqrt();
         let [base, replay] = &made.fits_to_all[..] else { panic!("{:?}", made.fits_to_all) };
         assert!(replay.id == "random_friction" && left(replay) < 0.3 * left(base), "{} {}", left(replay), left(base));
     }

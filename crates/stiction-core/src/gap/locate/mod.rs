@@ -289,11 +289,11 @@ impl<'a> Subject<'a> {
     #[must_use]
     pub(crate) fn of(diagnosis: &'a Diagnosis, period_points: Option<f64>, seed: u64) -> Self {
         Self {
-            fit: diagnosis.given.as_ref().unwrap_or(&diagnosis.base),
-            blocks: &diagnosis.blocks,
-            noise_floor: diagnosis.floor.noise_floor,
-            signatures: &diagnosis.signatures,
-            stages: diagnosis.stages.as_ref(),
+            fit: diagnosis.findings.given.as_ref().unwrap_or(&diagnosis.findings.base),
+            blocks: &diagnosis.findings.blocks,
+            noise_floor: diagnosis.findings.floor.noise_floor,
+            signatures: &diagnosis.findings.signatures,
+            stages: diagnosis.findings.stages.as_ref(),
             stage: diagnosis.cause.stage,
             period_points,
             seed,

@@ -28,29 +28,29 @@ pub(super) fn of(record: &Record, options: &GapOptions) -> anyhow::Result<Value>
     let made = diagnose(record, &options, &Serial)?;
     let variance = held_out_variance(record, &made);
     let share = |fit: &Fit| 1.0 - fit.rmse * fit.rmse / variance;
-    let fits = || made.effects.iter().filter_map(|e| e.fit.as_ref().map(|fit| (e, fit)));
+    let fits = || made.findings.effects.iter().filter_map(|e| e.fit.as_ref().map(|fit| (e, fit)));
     let best =
         fits().filter(|(e, _)| e.lead > 0.0 || e.id == made.cause.id).min_by(|a, b| a.1.rmse.total_cmp(&b.1.rmse));
-    let noise = made.floor.noise_floor.map(|f| f * f / variance);
+    let noise = made.findings.floor.noise_floor.map(|f| f * f / variance);
     Ok(json!({
         "part": "explained",
         "regular": true,
         "period_samples": cycle.period_points * record.box_samples as f64,
         "periods": record.len() as f64 / cycle.period_points,
-        "base": share(&made.base),
+        "base": share(&made.findings.base),
         "noise": noise,
         "best": best.map(|(e, _)| e.id.clone()),
-        "adds": best.map(|(_, fit)| share(fit) - share(&made.base)),
+        "adds": best.map(|(_, fit)| share(fit) - share(&made.findings.base)),
         "answer": called(&made),
         "confirmed": made.cause.confirmed,
-        "kind": kind(record, &made, cycle.period_points, share(&made.base)),
+        "kind": kind(record, &made, cycle.period_points, share(&made.findings.base)),
     }))
 }
 
 /// Variance of the held-out PV, PV units squared.
 fn held_out_variance(record: &Record, made: &Diagnosis) -> f64 {
-    let counts = |k: &usize| made.blocks.held_out[*k] && !made.blocks.masked[*k];
-    let pv: Vec<f64> = (made.blocks.from..record.len()).filter(counts).map(|k| record.pv[k]).collect();
+    let counts = |k: &usize| made.findings.blocks.held_out[*k] && !made.findings.blocks.masked[*k];
+    let pv: Vec<f64> = (made.findings.blocks.from..record.len()).filter(counts).map(|k| record.pv[k]).collect();
     stats::variance(&pv).max(f64::MIN_POSITIVE)
 }
 
@@ -59,8 +59,8 @@ fn kind(record: &Record, made: &Diagnosis, period: f64, base: f64) -> Option<&'s
     if made.cause.id != UNKNOWN {
         return None;
     }
-    let left: Vec<f64> = record.pv.iter().zip(&made.base.prediction).map(|(y, p)| y - p).collect();
-    let left = &left[made.blocks.from..];
+    let left: Vec<f64> = record.pv.iter().zip(&made.findings.base.prediction).map(|(y, p)| y - p).collect();
+    let left = &left[made.findings.blocks.from..];
     Some(if (left.len() as f64) < FEW_PERIODS * period {
         "few periods"
     } else if slow_share(left, period) > MOSTLY {
