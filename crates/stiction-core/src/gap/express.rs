@@ -152,73 +152,55 @@ pub(crate) fn fit(problem: &Problem, search: &Search, floor: Option<f64>, after:
     let best = search.best.first()?;
     let mut pass = PlainPass::new(problem, search.sign);
     let (mut prediction, valve) = pass.simulate(&search.structure, best)?;
-    for p in &mut prediction {
-        *p = problem.pv_of(*p);
-    }
+    prediction.iter_mut().for_each(|p| *p = problem.pv_of(*p));
     after(&mut prediction);
-    let residual: Vec<f64> =
-        prediction.iter().zip(&problem.normalised.pv).map(|(p, y)| problem.pv_of(*y) - p).collect();
-    let errors = Errors::of(problem, &residual);
     let model = model(problem, &search.structure, best);
-    let valve: Vec<f64> = valve.iter().map(|v| problem.op_of(*v)).collect();
-    let plan = search.structure.plan(&best.theta);
-    Some(Fit {
-        id: search.structure.id_in(problem),
-        slips: if plan.law.is_some() { slips(&valve, 1e-6 * problem.normalised.span) } else { Vec::new() },
-        dead_time_s: model.process.dead_time_s,
-        time_constants_s: model.process.time_constants_s.clone(),
-        model,
-        valve,
-        prediction,
-        rmse_train: errors.train,
-        rmse: errors.test,
-        gap: above_floor(errors.test, floor),
-        parameters: search.structure.freedom(&plan),
-        evaluations: search.evaluations,
-        at_floor: errors.at_floor(floor),
-        colour: errors.colour,
-        with_op: errors.with_op,
-    })
+    let valve = valve.iter().map(|v| problem.op_of(*v)).collect();
+    let made = Fit::of_run(problem, search.structure.id_in(problem), model, prediction, valve, floor);
+    let parameters = search.structure.freedom(&search.structure.plan(&best.theta));
+    Some(Fit { parameters, evaluations: search.evaluations, ..made })
 }
 
-/// What a free run leaves of PV.
-#[derive(Debug, Clone, Copy)]
-pub struct Errors {
-    /// Root mean square on the training blocks, PV units.
-    pub train: f64,
-    /// On the held-out blocks.
-    pub test: f64,
-    /// See [`Fit::colour`].
-    pub colour: f64,
-    /// See [`Fit::with_op`].
-    pub with_op: f64,
-}
-
-impl Errors {
-    /// Of a residual over the whole record, PV units.
+impl Fit {
+    /// A model with its free run, PV units, and its flow, OP units; without parameters that were fitted.
     #[must_use]
-    pub(crate) fn of(problem: &Problem, residual: &[f64]) -> Self {
-        let train = rms(residual, &problem.train);
-        let one_step = noise::autoregression(residual, &problem.train).map_or(train * train, |a| a.mse);
+    pub(super) fn of_run(
+        problem: &Problem,
+        id: String,
+        model: Model,
+        prediction: Vec<f64>,
+        valve: Vec<f64>,
+        floor: Option<f64>,
+    ) -> Self {
+        let pv = problem.normalised.pv.iter().map(|y| problem.pv_of(*y));
+        let residual: Vec<f64> = pv.zip(&prediction).map(|(y, p)| y - p).collect();
+        let [train, test] = [&problem.train, &problem.test].map(|stretches| rms(&residual, stretches));
+        let one_step = noise::autoregression(&residual, &problem.train).map_or(train * train, |a| a.mse);
         let from = problem.blocks.from;
+        let has_friction = model.valve.law != "none";
         Self {
-            train,
-            test: rms(residual, &problem.test),
+            id,
+            slips: if has_friction { slips(&valve, 1e-6 * problem.normalised.span) } else { Vec::new() },
+            dead_time_s: model.process.dead_time_s,
+            time_constants_s: model.process.time_constants_s.clone(),
+            model,
+            valve,
+            prediction,
+            rmse_train: train,
+            rmse: test,
+            gap: above_floor(test, floor),
+            parameters: 0,
+            evaluations: 0,
+            at_floor: floor.is_some_and(|f| train <= AT_FLOOR * f),
             colour: libm::log((train * train).max(1e-300)) - libm::log(one_step.max(1e-300)),
             with_op: whiteness(&residual[from..], &problem.normalised.mean[from..]).cross,
         }
-    }
-
-    /// Whether the training error has reached the floor.
-    #[must_use]
-    pub(crate) fn at_floor(&self, floor: Option<f64>) -> bool {
-        floor.is_some_and(|f| self.train <= AT_FLOOR * f)
     }
 }
 
 /// Moves of a stem, OP units, larger than `least`.
 #[must_use]
-pub(crate) fn slips(valve: &[f64], least: f64) -> Vec<Slip> {
+fn slips(valve: &[f64], least: f64) -> Vec<Slip> {
     valve
         .windows(2)
         .enumerate()

@@ -4,7 +4,7 @@
 //! The pole is read from what the best models leave, or is that of a second lag; PV is unfiltered with it, the base is
 //! fitted to that, and lag and colour agree where the filter explains PV one step ahead as well as any model with a memory of its own.
 
-use super::express::{Errors, above_floor, fit};
+use super::express::fit;
 use super::noise;
 use super::problem::Problem;
 use super::schedule::{self, Found, Work, residual_of};
@@ -183,24 +183,17 @@ impl Undone {
         let steps = problem.train.iter().flat_map(|[b, e]| residual[*b..*e].windows(2));
         let (count, sum) = steps.fold((0.0, 0.0), |(n, sum), w| (n + 1.0, sum + (w[1] - a * w[0]) * (w[1] - a * w[0])));
         let noise_sd = floor * ((1.0 - a) / (1.0 + a)).sqrt();
-        let errors = Errors::of(problem, &residual);
         let lag_s = -problem.point_s / libm::log(a);
         let over_floor = base.rmse_train / floor;
         let (_, r1) = noise::first_order(&residual_of(&self.problem, search)?, &self.problem.train)?;
         let mut model = base.model.clone();
         model.process.time_constants_s = with_lag(&base.time_constants_s, lag_s);
+        let id = super::effects::sensor_filter::EFFECT.id.to_owned();
         let fit = Fit {
-            id: super::effects::sensor_filter::EFFECT.id.to_owned(),
-            time_constants_s: model.process.time_constants_s.clone(),
-            model,
-            prediction,
-            rmse_train: errors.train,
-            rmse: errors.test,
-            gap: above_floor(errors.test, Some(noise_sd)),
             parameters: base.parameters + 1,
-            colour: errors.colour,
-            with_op: errors.with_op,
-            ..base
+            evaluations: base.evaluations,
+            at_floor: base.at_floor,
+            ..Fit::of_run(problem, id, model, prediction, base.valve, Some(noise_sd))
         };
         let one_step = libm::log((sum / f64::max(count, 1.0)).max(1e-300));
         Some(Made { filtered: Filtered { fit, lag_s, noise_sd }, one_step, over_floor, r1 })

@@ -3,7 +3,6 @@
 
 use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::{self, Effect, Param, Reach, Unit, Way};
-use super::express::{Errors, above_floor, slips};
 use super::model::{Added, Model, ModelError};
 use super::plain::PlainPass;
 use super::problem::Problem;
@@ -43,28 +42,10 @@ pub(crate) fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> 
     let stuck = ModelError::Range { name: "fs", value: model.valve.fs, want: "small enough for OP to move the stem" };
     let best = best.ok_or(stuck.clone())?;
     let (prediction, valve) = pass.simulate(&structure, &best).ok_or(stuck)?;
-    let prediction: Vec<f64> = prediction.iter().map(|p| problem.pv_of(*p)).collect();
-    let residual: Vec<f64> =
-        problem.normalised.pv.iter().zip(&prediction).map(|(y, p)| problem.pv_of(*y) - p).collect();
-    let errors = Errors::of(problem, &residual);
-    let valve: Vec<f64> = valve.iter().map(|v| problem.op_of(*v)).collect();
-    Ok(Fit {
-        id: "given".to_owned(),
-        model: model.clone(),
-        slips: if structure.law.is_some() { slips(&valve, 1e-6 * problem.normalised.span) } else { Vec::new() },
-        valve,
-        prediction,
-        dead_time_s: model.process.dead_time_s,
-        time_constants_s: model.process.time_constants_s.clone(),
-        rmse_train: errors.train,
-        rmse: errors.test,
-        gap: above_floor(errors.test, floor),
-        parameters: 0,
-        evaluations: pass.evaluations,
-        at_floor: errors.at_floor(floor),
-        colour: errors.colour,
-        with_op: errors.with_op,
-    })
+    let prediction = prediction.iter().map(|p| problem.pv_of(*p)).collect();
+    let valve = valve.iter().map(|v| problem.op_of(*v)).collect();
+    let made = Fit::of_run(problem, "given".to_owned(), model.clone(), prediction, valve, floor);
+    Ok(Fit { evaluations: pass.evaluations, ..made })
 }
 
 /// The base's parameters as the model states them, one for each first slip that may be meant; none where it is another

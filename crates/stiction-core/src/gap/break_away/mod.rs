@@ -13,7 +13,7 @@ mod plant;
 
 use super::document::closed_pct;
 use super::effects::random_friction::EFFECT;
-use super::express::{Errors, above_floor, slips};
+use super::express::above_floor;
 use super::noise;
 use super::problem::Problem;
 use super::types::{Fit, Parameter};
@@ -159,8 +159,6 @@ fn is_systematic(found: &Found) -> bool {
 }
 
 fn fit(record: &Record, problem: &Problem, base: &Fit, floor: f64, found: Found) -> Fit {
-    let residual: Vec<f64> = record.pv.iter().zip(&found.prediction).map(|(pv, p)| pv - p).collect();
-    let errors = Errors::of(problem, &residual);
     // What the slips cost, in parameters of BIC.
     let as_parameters = 2.0 * found.course.cost / libm::log(record.len() as f64);
     let mut model = base.model.clone();
@@ -168,21 +166,9 @@ fn fit(record: &Record, problem: &Problem, base: &Fit, floor: f64, found: Found)
     model.valve.fd = found.plant.ratio * model.valve.fs;
     found.plant.write_to(&mut model.process, record);
     Fit {
-        id: EFFECT.id.to_owned(),
-        slips: slips(&found.course.stem, 1e-6 * problem.normalised.span),
-        dead_time_s: model.process.dead_time_s,
-        time_constants_s: model.process.time_constants_s.clone(),
-        model,
-        rmse_train: errors.train,
-        rmse: errors.test,
-        gap: above_floor(errors.test, Some(floor)),
         parameters: base.parameters + as_parameters.ceil() as usize,
         evaluations: base.evaluations,
-        at_floor: errors.at_floor(Some(floor)),
-        colour: errors.colour,
-        with_op: errors.with_op,
-        valve: found.course.stem,
-        prediction: found.prediction,
+        ..Fit::of_run(problem, EFFECT.id.to_owned(), model, found.prediction, found.course.stem, Some(floor))
     }
 }
 
