@@ -23,7 +23,7 @@ use super::search::Search;
 use super::signatures;
 use super::stages;
 use super::traces::Traces;
-use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, GapOptions, UNKNOWN};
+use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, FromSp, GapError, GapOptions, UNKNOWN};
 use super::weigh::{Scales, sort_by_lead};
 use crate::ident::controller;
 use crate::record::Record;
@@ -191,10 +191,14 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let (findings, replay) =
         with_random_friction(record, options, &searched, findings, base_to_all.as_ref(), &mut work);
     let decision = findings.decide(&[]);
-    let mut runs = run_forward(record, &searched, &findings, &decision, &mut work);
-    runs.fits_to_all.extend(base_to_all);
-    runs.fits_to_all.extend(fit_cause(&searched, &decision, replay, runs.fits_to_all.first(), &mut work));
-    runs.next_test = next_test(&searched.problem, &searched.found, &findings, &decision);
+    let (forward, from_sp) = run_forward(record, &searched, &findings, &decision, &mut work);
+    let cause_to_all = fit_cause(&searched, &decision, replay, base_to_all.as_ref(), &mut work);
+    let runs = Runs {
+        forward,
+        from_sp,
+        next_test: next_test(&searched.problem, &searched.found, &findings, &decision),
+        fits_to_all: base_to_all.into_iter().chain(cause_to_all).collect(),
+    };
     let spent = Spent {
         evaluations: work.done,
         budget,
@@ -432,14 +436,14 @@ fn run_forward(
     findings: &Findings,
     decision: &Decision,
     work: &mut Work<'_>,
-) -> Runs {
+) -> (Option<Forward>, Option<FromSp>) {
     let cause = searched.search_of(&decision.cause.id);
     if work.stopped || cause.is_none() && !loop_run::sp_moves(record) {
-        return Runs::default();
+        return (None, None);
     }
     let floor = findings.floor.noise_floor;
     let searches: Vec<_> = iter::once(&searched.found.base).chain(cause).collect();
-    let Some(first) = fitted_to_first_part(&searched.problem, &searches, floor, work) else { return Runs::default() };
+    let Some(first) = fitted_to_first_part(&searched.problem, &searches, floor, work) else { return (None, None) };
     let forward = match first.fits.as_slice() {
         [base, cause] => {
             let [gap_before, gap_after] = [base, cause].map(|fit| above_floor(fit.rmse, floor));
@@ -447,5 +451,5 @@ fn run_forward(
         }
         _ => None,
     };
-    Runs { forward, from_sp: loop_run::from_sp(record, &first), ..Runs::default() }
+    (forward, loop_run::from_sp(record, &first))
 }

@@ -111,7 +111,7 @@ impl Findings {
 }
 
 /// What was computed for one cause.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Runs {
     /// See [`Diagnosis::forward`].
     pub forward: Option<Forward>,
@@ -201,7 +201,7 @@ impl Diagnosis {
 
     /// The same findings with another decision.
     #[must_use]
-    pub(super) fn deciding(&self, decision: Decision) -> Self {
+    pub(super) fn with_decision(&self, decision: Decision) -> Self {
         let Self { forward, from_sp, next_test, fits_to_all, .. } = self.clone();
         let runs = Runs { forward, from_sp, next_test, fits_to_all };
         let runs = if decision.cause.id == self.cause.id { runs } else { runs.of_the_base() };
@@ -211,7 +211,7 @@ impl Diagnosis {
     /// The same findings judged again as if the catalogue lacked `ids` as well.
     #[must_use]
     pub fn without(&self, ids: &[&str]) -> Self {
-        self.deciding(self.findings.decide(ids))
+        self.with_decision(self.findings.decide(ids))
     }
 
     /// What the decision is made from.
@@ -241,7 +241,7 @@ mod tests {
     use crate::sim::noise::Noise;
 
     #[test]
-    fn nothing_is_confirmed_from_a_base_that_is_worse_than_the_mean() {
+    fn another_cause_has_its_own_runs_and_nothing_is_confirmed_from_a_base_worse_than_the_mean() {
         let turn = |k: usize, period: f64| libm::sin(2.0 * core::f64::consts::PI * k as f64 / period);
         let (mut noise, mut stem) = (Noise::new(4, 1), 0.0);
         let op: Vec<f64> = (0..600).map(|k| 50.0 + 4.0 * turn(k, 60.0) + turn(k, 331.0)).collect();
@@ -252,6 +252,11 @@ mod tests {
         let pv = op.iter().enumerate().map(follow).collect();
         let mut found = diagnose(&Record::uniform(1.0, op, pv), &GapOptions::default(), &Serial).unwrap();
         assert!(found.cause.id == "sinusoid" && found.cause.confirmed, "{:?}", found.cause);
+        // What was computed for one cause says nothing of another.
+        let another = found.without(&["sinusoid"]);
+        assert!(found.fits_to_all.len() == 2 && found.forward.is_some());
+        assert!(another.cause.id != "sinusoid" && another.fits_to_all == found.fits_to_all[..1]);
+        assert!(another.forward.is_none() && another.next_test.is_none());
         let findings = &mut found.findings;
         findings.effects.iter_mut().for_each(|e| e.closed_pct = Some(20.0));
         let confirmed = [1.0, 1.5].map(|relative_gap| {

@@ -54,7 +54,7 @@ pub use decide::{By, Decision, decide, holds_out};
 pub use diagnosis::{MIN_POINTS, diagnose};
 pub use evidence::{Basis, Evidence};
 pub use given::check as check_model;
-pub use judged::{Diagnosis, Findings};
+pub use judged::Diagnosis;
 pub use neighbour::{Neighbour, NeighbourError};
 pub use neighbours::compare as compare_neighbours;
 pub use probability::Features;

@@ -133,7 +133,7 @@ impl Diagnosis {
     /// This window's diagnosis with the answer of several, of which it is one.
     #[must_use]
     pub fn with_answer_of(&self, together: &Together) -> Self {
-        Self { cause: together.cause.clone(), ..self.deciding(together.decision.clone()) }
+        Self { cause: together.cause.clone(), ..self.with_decision(together.decision.clone()) }
     }
 }
 
