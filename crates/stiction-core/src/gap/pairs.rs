@@ -1,30 +1,32 @@
 //! Two effects at once, where none alone explains the record: built from the best single ones.
 
-use super::candidate::{Candidate, MAX_PARAMS};
+use super::candidate::{Candidate, MAX_PARAMS, Parameters};
+use super::evaluator::Evaluator;
 use super::problem::{Problem, View};
 use super::schedule::{Found, Work, search_again, share};
 use super::search::{NARROW, Search, exchange, form_of};
+use super::settle::fitted_to;
 use super::structure::Structure;
 use super::types::EffectResult;
 use super::weigh::{Scales, sort_by_lead};
 
-/// Single effects that are paired, and rounds that each pair gets.
+/// Single effects that are paired, and pairs of these that are searched.
 const SINGLES: usize = 6;
-const ROUNDS: usize = 2;
+const SEARCHED: usize = 5;
 /// Error over the floor beyond which, after its first round, no pair is looked for further: one that is named leaves next
 /// to nothing.
 const HOPELESS: f64 = 2.0;
 /// Where the searches' rounds with other chance begin, behind those of single effects.
 const AGAIN_FROM: u64 = 8;
 
-/// Pairs of the best single effects, best first, and their searches.
+/// Pairs of the best single effects, best first, and their searches: of those that leave least before any step.
 pub(crate) fn run(
     problem: &Problem,
     found: &Found,
     scales: &Scales<'_>,
     work: &mut Work<'_>,
 ) -> (Vec<EffectResult>, Vec<Search>) {
-    let mut singles: Vec<&Search> = found.searches.iter().filter(|l| !l.best.is_empty()).collect();
+    let mut singles: Vec<Search> = found.searches.iter().filter(|l| !l.best.is_empty()).cloned().collect();
     singles.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
     singles.truncate(SINGLES);
     let mut searches: Vec<Search> = Vec::new();
@@ -33,15 +35,10 @@ pub(crate) fn run(
             searches.extend(paired(a, b, 200 + searches.len() as u64));
         }
     }
-    let mut all: Vec<Search> = singles.iter().map(|l| (*l).clone()).collect();
-    all.push(found.base.clone());
-    for round in 0..ROUNDS {
-        if !work.goes_on() || round > 0 && is_hopeless(problem, &searches, scales.floor.noise_floor) {
-            break;
-        }
-        let mut from = all.clone();
-        from.extend(searches.iter().cloned());
-        let thetas = exchange(&from, 2);
+    singles.push(found.base.clone());
+    let thetas = exchange(&singles, 2);
+    if work.goes_on() {
+        keep_best(problem, &mut searches, &thetas, work);
         share(problem, &mut searches, &NARROW, work, &|_| thetas.clone(), &|_| &[]);
     }
     if !is_hopeless(problem, &searches, scales.floor.noise_floor) {
@@ -50,6 +47,23 @@ pub(crate) fn run(
     let mut out: Vec<EffectResult> = searches.iter().filter_map(|search| scales.weigh(search)).collect();
     sort_by_lead(&mut out);
     (out, searches)
+}
+
+/// Keeps the pairs that leave least where their searches begin.
+fn keep_best(problem: &Problem, searches: &mut Vec<Search>, thetas: &[Parameters], work: &mut Work<'_>) {
+    let looks = work.all(searches.len(), |i| {
+        let search = &searches[i];
+        let mut evaluator = Evaluator::new(problem, search.sign);
+        let places = thetas.iter().flat_map(|theta| search.starts.iter().map(|p| Parameters { p: *p, ..*theta }));
+        let fitted = places.flat_map(|theta| fitted_to(&search.structure, theta, problem));
+        let errors = fitted.filter_map(|theta| evaluator.fit(&search.structure, &theta, View::Plain, &[]));
+        let least = errors.map(|c| c.sse).fold(f64::INFINITY, f64::min);
+        (least, evaluator.evaluations)
+    });
+    work.done += looks.iter().map(|(_, evaluations)| evaluations).sum::<u64>();
+    let mut ranked: Vec<(f64, Search)> = looks.into_iter().map(|(least, _)| least).zip(searches.drain(..)).collect();
+    ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+    searches.extend(ranked.into_iter().take(SEARCHED).map(|(_, search)| search));
 }
 
 /// Whether no pair comes near the floor.
