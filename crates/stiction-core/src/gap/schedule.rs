@@ -25,16 +25,15 @@ use crate::ident::random::{normal, seeded_rng};
 use crate::ident::residual;
 use crate::sim::slips::Law;
 
-/// Rounds in which findings are shared.
-const SHARED_ROUNDS: usize = 2;
 /// Rounds of the estimate's search that are asked for.
 const SLIP_ROUNDS: Length = Length::Rounds(3);
 /// Relative gain in squared error below which a search has not improved.
 const NO_GAIN: f64 = 0.003;
 /// Responses that a search for the base is given at least: without a base nothing can be said.
 const BASE_AT_LEAST: u64 = 10_000;
-/// Squared error over the best one from which an effect is out of the running, so that it does not try what others find.
-const FAR_BEHIND: f64 = 9.0;
+/// Squared error over the best one from which an effect is out of the running: it gets no other starts and does not try
+/// what others find.
+const FAR_BEHIND: f64 = 4.0;
 /// Searches for the right slips at most beyond the first, of the base and of the effects.
 const AGAIN: u64 = 1;
 /// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
@@ -42,8 +41,8 @@ const OF_BASE: f64 = 0.4;
 const OF_LOOKS: f64 = 0.5;
 /// Effects, the best by what they leave, that are searched again at a time.
 const LIKELY: usize = 3;
-/// Times that these are searched again while one of them gains.
-const MOST_AGAIN: u64 = 4;
+/// Times at most that each of these is searched again with the parameters at hand and then beside them, while it gains.
+const MOST_AGAIN: u64 = 2;
 /// Responses that the search for the right slips of one effect computes, about.
 const LOOK_AGAIN: u64 = 30_000;
 /// Error over the floor at which a white base is the answer and a narrow search for each effect is enough.
@@ -314,16 +313,8 @@ pub(crate) fn run(
             from_other_starts(problem, &mut searches, work);
         }
     }
-    let mut last_gained = false;
-    for round in 0..if calm { 0 } else { SHARED_ROUNDS as u64 } {
-        let gains = search_again(problem, &mut searches, floor, round, work);
-        let exchanged =
-            work.goes_on() && (round == 0 || gains) && exchange_round(problem, &mut base, &mut searches, work);
-        last_gained = gains || exchanged;
-        if !last_gained {
-            break;
-        }
-    }
+    let gains = !calm && search_again(problem, &mut searches, floor, 0, work);
+    let exchanged = !calm && work.goes_on() && exchange_round(problem, &mut base, &mut searches, work);
     let best = searches.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()));
     let ended = if work.stopped {
         Ended::Stopped
@@ -333,7 +324,7 @@ pub(crate) fn run(
         Ended::Noise
     } else if best.is_some_and(|search| is_calm(problem, search, floor)) {
         Ended::Explained
-    } else if last_gained {
+    } else if gains || exchanged {
         Ended::Complete
     } else {
         Ended::Agreement
@@ -380,26 +371,28 @@ fn special_cases(search: &Search, all: &[Search]) -> Vec<Parameters> {
     others.flat_map(|other| other.best.iter().take(2)).map(|b| b.theta).collect()
 }
 
-/// More work for the searches at these places. Says whether one of them gained from it.
-fn go_on(searches: &mut [Search], at: &[usize], work: &mut Work<'_>, job: &(dyn Fn(&mut Search) + Sync)) -> bool {
+/// More work for the searches at these places. Says which of them gained from it.
+fn go_on(searches: &mut [Search], at: &[usize], work: &mut Work<'_>, job: &(dyn Fn(&mut Search) + Sync)) -> Vec<usize> {
     let allowed = work.allowed(at.len());
     let made = work.all(at.len(), |i| {
         let mut search = Search { allowed, ..searches[at[i]].clone() };
         job(&mut search);
         search
     });
-    let mut gains = false;
+    let mut gained = Vec::new();
     for (at, search) in at.iter().zip(made) {
         let before = &mut searches[*at];
         work.done += search.evaluations - before.evaluations;
-        gains |= search.sse() < (1.0 - NO_GAIN) * before.sse();
+        if search.sse() < (1.0 - NO_GAIN) * before.sse() {
+            gained.push(*at);
+        }
         *before = search;
     }
-    gains
+    gained
 }
 
-/// Other searches for slips, with the parameters found so far and beside them, for each of the most likely structures while
-/// none explains everything and one of them gains. Says whether one did.
+/// Other searches for slips, with the parameters found so far and beside them, for each of the most likely structures that
+/// gains by one of the two, while none explains everything. Says whether one gained.
 pub(crate) fn search_again(
     problem: &Problem,
     searches: &mut [Search],
@@ -408,33 +401,38 @@ pub(crate) fn search_again(
     work: &mut Work<'_>,
 ) -> bool {
     let mut gains = false;
+    let mut given_up: Vec<usize> = Vec::new();
     for again in 0..MOST_AGAIN {
-        let found = work.goes_on() && search_once_more(problem, searches, floor, MOST_AGAIN * round + again, work);
-        gains |= found;
-        // With the parameters at hand first, then beside them: who gains by neither is done.
-        if !found && again % 2 == 1 {
-            break;
+        let seed = work.seed.wrapping_add((AGAIN + 1 + 2 * (MOST_AGAIN * round + again)) << 32);
+        let (mut asked, mut gained) = (Vec::new(), Vec::new());
+        for beside in [false, true] {
+            let at = likely(problem, searches, floor, &given_up, work);
+            let seed = seed.wrapping_add(u64::from(beside) << 32);
+            gained.extend(go_on(searches, &at, work, &|search| look_again(problem, search, beside, seed)));
+            asked.extend(at);
         }
+        given_up.extend(asked.into_iter().filter(|at| !gained.contains(at)));
+        gains |= !gained.is_empty();
     }
     gains
 }
 
-/// One such search for each.
-fn search_once_more(
+/// The searches, the best by what they leave, that are worth another look; none where one of them explains everything.
+fn likely(
     problem: &Problem,
-    searches: &mut [Search],
+    searches: &[Search],
     floor: Option<f64>,
-    round: u64,
+    given_up: &[usize],
     work: &mut Work<'_>,
-) -> bool {
+) -> Vec<usize> {
     let mut order: Vec<usize> = (0..searches.len()).collect();
     order.sort_by(|a, b| searches[*a].sse().total_cmp(&searches[*b].sse()));
     order.truncate(LIKELY.min((work.left() / LOOK_AGAIN) as usize));
     if order.first().is_none_or(|best| is_settled(problem, &searches[*best], floor)) || !work.goes_on() {
-        return false;
+        return Vec::new();
     }
-    let seed = work.seed.wrapping_add((AGAIN + 1 + round) << 32);
-    go_on(searches, &order, work, &|search| look_again(problem, search, round % 2 == 1, seed))
+    order.retain(|at| !given_up.contains(at));
+    order
 }
 
 /// Another search for slips with other chance and the parameters found so far, or `beside` them, and a local search from
@@ -454,7 +452,8 @@ pub(crate) fn look_again(problem: &Problem, search: &mut Search, beside: bool, s
     if others.is_empty() {
         look(search, SLIP_ROUNDS, seed);
     }
-    local_search(problem, search, &[], &from, &MIDDLE, seed);
+    let effort = if search.structure.each().next().is_some() { &FIRST } else { &MIDDLE };
+    local_search(problem, search, &[], &from, effort, seed);
     search.evaluations += evaluations;
 }
 
@@ -486,7 +485,9 @@ fn parameters_beside(problem: &Problem, search: &Search, seed: u64) -> Vec<[f64;
 /// Looks of their own from the starts that the first ones left out, and a local search from where they lead.
 fn from_other_starts(problem: &Problem, searches: &mut [Search], work: &mut Work<'_>) {
     let most = own_looks::most(searches, work.part(OF_LOOKS));
-    let at: Vec<usize> = (0..searches.len()).filter(|i| has_others(&searches[*i])).collect();
+    let near = FAR_BEHIND * searches.iter().map(Search::sse).fold(f64::INFINITY, f64::min);
+    let at: Vec<usize> =
+        (0..searches.len()).filter(|i| searches[*i].sse() <= near && has_others(&searches[*i])).collect();
     if most == 0 || at.is_empty() || !work.goes_on() {
         return;
     }

@@ -76,9 +76,9 @@ pub(crate) struct Effort {
 
 /// For the base.
 pub(crate) const WIDE: Effort = Effort { moves: [(12, 60), (4, 160)], plain: [(14, 60), (6, 160), (3, 400)], scans: 0 };
-/// For an effect that may be the cause.
-pub(crate) const MIDDLE: Effort = Effort { moves: [(8, 40), (3, 100)], plain: [(8, 50), (4, 120), (2, 240)], scans: 1 };
-/// Every effect's first.
+/// For the base from other slips.
+pub(crate) const MIDDLE: Effort = Effort { moves: [(8, 40), (3, 100)], plain: [(8, 50), (4, 120), (2, 240)], scans: 0 };
+/// For every effect at first, and for a likely one from other slips.
 pub(crate) const FIRST: Effort = Effort { moves: [(5, 30), (2, 50)], plain: [(6, 30), (2, 80), (1, 120)], scans: 1 };
 /// From candidates that another search has found.
 pub(crate) const NARROW: Effort = Effort { moves: [(2, 30), (1, 60)], plain: [(4, 40), (2, 100), (1, 150)], scans: 0 };
