@@ -31,9 +31,10 @@ const SLIP_ROUNDS: Length = Length::Rounds(3);
 const NO_GAIN: f64 = 0.003;
 /// Responses that a search for the base is given at least: without a base nothing can be said.
 const BASE_AT_LEAST: u64 = 10_000;
-/// Squared error over the best one from which an effect is out of the running: it gets no other starts and does not try
-/// what others find.
-const FAR_BEHIND: f64 = 4.0;
+/// Squared error over the best one from which an effect gets no other starts, and from which it is out of the running, so
+/// that it does not try what others find.
+const BEHIND: f64 = 4.0;
+const FAR_BEHIND: f64 = 9.0;
 /// Searches for the right slips at most beyond the first, of the base and of the effects.
 const AGAIN: u64 = 1;
 /// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
@@ -485,7 +486,7 @@ fn parameters_beside(problem: &Problem, search: &Search, seed: u64) -> Vec<[f64;
 /// Looks of their own from the starts that the first ones left out, and a local search from where they lead.
 fn from_other_starts(problem: &Problem, searches: &mut [Search], work: &mut Work<'_>) {
     let most = own_looks::most(searches, work.part(OF_LOOKS));
-    let near = FAR_BEHIND * searches.iter().map(Search::sse).fold(f64::INFINITY, f64::min);
+    let near = BEHIND * searches.iter().map(Search::sse).fold(f64::INFINITY, f64::min);
     let at: Vec<usize> =
         (0..searches.len()).filter(|i| searches[*i].sse() <= near && has_others(&searches[*i])).collect();
     if most == 0 || at.is_empty() || !work.goes_on() {
