@@ -38,11 +38,6 @@ pub(super) const STEMS: [f64; 21] = [
     0.78, 0.88, 0.98,
 ];
 const OTHER_STEMS: f64 = 0.01;
-/// First slips beside the one at hand, in extremes of OP; jumps to a side that are tried with each, and how far they go, a
-/// share of j.
-const FIRST_BESIDE: [isize; 4] = [1, -1, 2, -2];
-const JUMPS_BESIDE: i32 = 60;
-const JUMPS_REACH: f64 = 0.3;
 
 /// How near to the best one an error must lie for a process to be refined.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -286,37 +281,6 @@ pub(crate) fn neighbours(
         }
     }
     walk.best
-}
-
-/// The best places with a neighbouring first slip and another jump: after a step of OP the next slips depend on where the
-/// first ones left the stem, so that neither moves without the other.
-pub(crate) fn with_other_first_slips(
-    evaluator: &mut Evaluator<'_>,
-    view: &mut View,
-    around: &Candidate,
-) -> Vec<Candidate> {
-    (evaluator.class, evaluator.law) = (around.class, around.law);
-    let last = evaluator.problem.normalised.extremes[usize::from(!around.start.up)].len().max(1) - 1;
-    let mut pool = Vec::new();
-    let mut least = around.sse();
-    for by in FIRST_BESIDE {
-        let extreme = around.start.extreme.saturating_add_signed(by).min(last);
-        if extreme == around.start.extreme {
-            continue;
-        }
-        let start = Start { extreme, place: 0.5, ..around.start };
-        for k in -JUMPS_BESIDE..=JUMPS_BESIDE {
-            let j = around.j * (1.0 + JUMPS_REACH * k as f64 / JUMPS_BESIDE as f64);
-            let Some(bands) = kept(evaluator, around.s, j) else { continue };
-            let found = evaluator.fit(view, bands, start, &around.fit, ON_RIDGE_REFINED * least);
-            let Some(found) = found.filter(|f| f.fit.gain != 0.0 && f.sse() < ON_RIDGE * around.sse()) else {
-                continue;
-            };
-            least = least.min(found.sse());
-            pool.push(found);
-        }
-    }
-    apart(&pool, 2, 0)
 }
 
 /// An even look along the ridge around a candidate, `reach` (a share of s) to either side: its best places.

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use super::candidate::{Candidate, apart};
 use super::classes::{FAR_ALONG, allowed, choose_class, index_of, suited};
 use super::evaluator::Evaluator;
-use super::local_search::{along_cells, along_ridge, neighbours, random_steps, with_other_first_slips};
+use super::local_search::{along_cells, along_ridge, neighbours, random_steps};
 use super::part::{LawRound, Part, frictionless};
 use super::problem::Problem;
 use super::read::{self, Reading};
@@ -489,8 +489,7 @@ impl<'s, 'a> Search<'s, 'a> {
             finals = apart(&finals, 3, 0);
             let Some(best) = finals.first().copied() else { return false };
             let other = self.law_best[usize::from(best.law == Law::He)];
-            let is_close = best.sse() < self.settings.closely * self.plain.nothing();
-            if best.slips < SELDOM && is_close {
+            if best.slips < SELDOM && best.sse() < self.settings.closely * self.plain.nothing() {
                 for c in along_cells(&mut self.whole, &mut self.plain, &best, self.settings.cells_along) {
                     let Some(c) = self.whole.settle(&mut self.plain, &c) else { continue };
                     finals.push(neighbours(&mut self.whole, &mut self.plain, c, 3, near));
@@ -500,9 +499,6 @@ impl<'s, 'a> Search<'s, 'a> {
             if best.sse() < 0.95 * self.without(Class::First) && best.sse() < 1.3 * other {
                 let (reach, steps) = if best.class.order() > 1 { FAR_ALONG } else { (0.05, 15) };
                 let mut more = along_ridge(&mut self.whole, &mut self.plain, &best, reach, steps);
-                if is_close {
-                    more.extend(with_other_first_slips(&mut self.whole, &mut self.plain, &best));
-                }
                 more.retain(|c| c.sse() < 4.0 * best.sse());
                 finals.extend(more);
                 finals = apart(&finals, 2, 0);
