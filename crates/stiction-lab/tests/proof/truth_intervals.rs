@@ -2,10 +2,11 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction_core::ident::Options;
 use stiction_core::ident::width::{Settings, Trust};
+use stiction_core::ident::{Options, quantify};
 use stiction_core::verdict::{AssessParams, Assessment, ValveChoice, assess};
 use stiction_lab::calibrate_intervals::{look, table};
+use stiction_truth::fixture::{Draw, Loop};
 use stiction_truth::{self as truth, Half, Regime};
 
 const MATCHED: [Regime; 6] = [
@@ -93,4 +94,48 @@ fn an_interval_is_narrow_in_spite_of_an_unknown_load_where_all_other_bands_are_r
     let ((alone, holds, narrow), (among_others, _, wide)) = (width(41023), width(0));
     assert!(alone == Trust::Distinct && holds && narrow < 0.1, "{alone:?} {narrow}");
     assert!(among_others != Trust::Distinct && wide > 0.2, "{among_others:?} {wide}");
+}
+
+/// A loop at rest that a pulse of SP moves a few times.
+fn from_rest(seed: u64) -> Loop {
+    let mut draw = Draw::new(seed);
+    let (gain, tau) = (draw.between(0.5, 2.0), draw.between(8.0, 50.0));
+    let s = draw.between(1.5, 6.0);
+    let j = s * draw.between(0.1, 0.95);
+    Loop {
+        fs: 0.5 * (s + j),
+        fd: 0.5 * (s - j),
+        tracking: false,
+        gain,
+        taus: vec![tau],
+        dead_time: draw.between(1.0, 15.0),
+        kc: draw.between(0.2, 0.9) / gain,
+        ti: tau * draw.between(0.4, 1.2),
+        noise: 0.01 * s * gain,
+        sp: |k| if (30..110).contains(&k) { 5.0 } else { 0.0 },
+        n: 1000,
+        warm_up: 0,
+        seed,
+    }
+}
+
+#[test]
+fn few_moves_leave_s_and_the_dead_time_open() {
+    let (mut held, mut right, mut count) = (0, 0, 0);
+    for seed in 61_000..61_120 {
+        let plant = from_rest(seed);
+        let simulated = plant.run();
+        let moves = simulated.mv.windows(2).filter(|w| w[0] != w[1]).count();
+        if !(3..=8).contains(&moves) {
+            continue;
+        }
+        let Ok(found) = quantify(&simulated.record, &Options::default()) else { continue };
+        let floor = Settings::shipped().least(&found.spread, found.s);
+        let [low, high] = found.spread.told(found.s, found.j, &floor, 1.0).s;
+        let s = plant.fs + plant.fd;
+        (held, count) = (held + usize::from(low <= s && s <= high), count + 1);
+        right += usize::from((found.s / s - 1.0).abs() < 0.02);
+    }
+    eprintln!("{count} loops of few moves: s held in {held}, within 2 % in {right}");
+    assert!(count >= 30 && held * 100 >= 65 * count, "{held} of {count}");
 }

@@ -11,6 +11,7 @@
 use super::around::Around;
 use super::candidate::Candidate;
 use super::evaluator::{Evaluator, Polished};
+use super::later::Moves;
 use super::local_search::across;
 use crate::ident::evaluator::View;
 use crate::ident::normalised::Start;
@@ -29,6 +30,18 @@ const NEGLIGIBLE: f64 = -12.0;
 const WALK_S: usize = 25;
 const WALK_J: usize = 10;
 const LOST: usize = 4;
+/// Points by which all moves come earlier or later at most, and places in a row that do not count after which no more are
+/// looked at.
+const MOST_LATER: isize = 60;
+const LOST_LATER: usize = 20;
+/// Steps to better neighbours from such a place, and the logarithm of a weight from which they are made.
+const BESIDE: usize = 8;
+const WORTH_A_STEP: f64 = -1200.0;
+/// Logarithm of a weight from which such a place is inside the interval: half of what chi squared has at 90 % with one degree
+/// of freedom, as for a profile likelihood.
+const PROFILE: f64 = -1.353;
+/// Looks around the best candidate, each from a better one than the one before.
+const ROUNDS: usize = 3;
 /// Random moves.
 const MOVES: usize = 120;
 /// Other candidates that are met.
@@ -67,34 +80,40 @@ pub(crate) fn spread(
     let process = evaluator.polish(view, best)?;
     let mut tests = test(evaluator, view, best, &process);
     let mut looking = Looking::new(evaluator, view, *best, process, tests.inflation)?;
-    let asked = looking.top;
-    looking.walk();
-    looking.ridge();
-    looking.meet(rivals);
-    looking.wander(&mut seeded_rng(seed, 2));
-    if looking.top.sse() < looking.first {
+    let mut rng = seeded_rng(seed, 2);
+    for round in 1..=ROUNDS {
+        let asked = looking.top;
+        looking.walk();
+        looking.ridge();
+        looking.meet(rivals);
+        looking.wander(&mut rng);
+        if looking.top.sse() >= looking.first {
+            break;
+        }
         let top = looking.top;
         let process = looking.evaluator.polish(looking.view, &top)?;
-        // The quadratic model of the cell may promise more than there is.
-        if process.sse < looking.process.sse {
-            tests = test(looking.evaluator, looking.view, &top, &process);
-            looking.accept(top, process, tests.inflation)?;
-            looking.walk();
-        } else {
+        // The quadratic model of the cell may promise more than there is; and nobody looks around one met in the last round.
+        if process.sse >= looking.process.sse || round == ROUNDS {
             looking.top = asked;
+            break;
         }
+        tests = test(looking.evaluator, looking.view, &top, &process);
+        looking.accept(top, process, tests.inflation)?;
     }
     let top = looking.top;
     let (mixture, flat) = looking.mixture();
     let error = 2.0 * looking.band_error() * tests.inflation.sqrt();
     let path = looking.evaluator.problem.normalised.path.values();
     let [s, j] = centred(&top);
-    let of = |f: &dyn Fn(&Place) -> f64, value: f64| hull(mixture.interval(f), [value, value]);
+    let of = |f: &dyn Fn([f64; 2]) -> f64| {
+        let value = f([s, j]);
+        hull(mixture.interval(&|p: &Place| f([p.s, p.j])), looking.profile_range(f, value))
+    };
     let spread = Spread {
-        s: of(&|p| p.s, s),
-        j: if flat { looking.allowed(j) } else { of(&|p| p.j, j) },
-        fs: of(&|p| 0.5 * (p.s + p.j), 0.5 * (s + j)),
-        fd: of(&|p| 0.5 * (p.s - p.j), 0.5 * (s - j)),
+        s: of(&|[s, _]| s),
+        j: if flat { looking.allowed(j) } else { of(&|[_, j]| j) },
+        fs: of(&|[s, j]| 0.5 * (s + j)),
+        fd: of(&|[s, j]| 0.5 * (s - j)),
         j_identifiable: !flat && SEEN * error < 0.33 * s,
         whiteness: tests,
         quantum: quantum(path),
@@ -141,6 +160,8 @@ struct Looking<'b, 'a> {
     /// Time constants at and around those of the best candidate.
     around: Around,
     cells: Vec<Candidate>,
+    /// The best place at each s along the ridge.
+    on_ridge: Vec<Candidate>,
     top: Candidate,
     process: Polished,
     /// Error of the candidate that the search began with.
@@ -164,6 +185,7 @@ impl<'b, 'a> Looking<'b, 'a> {
             view,
             around,
             cells: Vec::new(),
+            on_ridge: Vec::new(),
             top: best,
             process,
             first: 0.0,
@@ -273,20 +295,60 @@ impl<'b, 'a> Looking<'b, 'a> {
         }
     }
 
-    /// Far steps in s, each with the lag that makes up for it.
+    /// Along the ridge to either side, point by point: all moves earlier with a longer lag, and the reverse.
     fn ridge(&mut self) {
         let home = self.top;
-        for share in [0.005, 0.01, 0.02, 0.04, 0.08, 0.16] {
-            for side in [-share, share] {
-                let s = home.s * (1.0 + side);
-                let lag = -(s - home.s) / self.evaluator.problem.normalised.rate.max(1e-6);
-                let j = home.j / home.s * s;
-                let found = self.visit(s, home.j, home.start, &home, lag);
-                if found.is_some_and(|c| self.weight(c.sse()) > 4.0 * NEGLIGIBLE) {
-                    self.visit(s, j, home.start, &home, lag);
+        if self.evaluator.slip(home.s, home.j, home.start).is_none() {
+            return;
+        }
+        let moves = Moves::of(self.evaluator.steps(), home.law);
+        for side in [-1, 1] {
+            let (mut at, mut lost) = (home, 0);
+            for by in 1..=MOST_LATER {
+                let by = side * by;
+                let normalised = self.evaluator.problem.normalised;
+                let Some(bands) = moves.later(normalised, home.start, home.j, by) else { break };
+                let lag = home.fit.lag() - by as f64 - at.fit.lag();
+                let best = self.visit(bands.s, bands.j, bands.start, &at, lag).map(|c| self.settle_beside(c));
+                let counts = best.is_some_and(|c| self.weight(c.sse()) > NEGLIGIBLE);
+                self.on_ridge.extend(best);
+                lost = if counts { 0 } else { lost + 1 };
+                if lost == LOST_LATER {
+                    break;
                 }
+                at = best.filter(|_| counts).unwrap_or(at);
             }
         }
+    }
+
+    /// From a place that may come to count, step by step to the best neighbouring cell or first slip.
+    fn settle_beside(&mut self, from: Candidate) -> Candidate {
+        let mut best = from;
+        for _ in 0..BESIDE {
+            if self.weight(best.sse()) < WORTH_A_STEP {
+                break;
+            }
+            let home = best;
+            let [s, j] = [0, 1].map(|k| [false, true].map(|up| across(home.cells[k], up)));
+            let starts = [home.start.extreme.saturating_sub(1), home.start.extreme + 1];
+            let places = s.map(|s| (s, home.j.min(s), home.start)).into_iter();
+            let places = places.chain(j.map(|j| (home.s, j, home.start)));
+            let places = places.chain(starts.map(|extreme| (home.s, home.j, Start { extreme, ..home.start })));
+            for (s, j, start) in places.filter(|(s, j, _)| s.is_finite() && j.is_finite()) {
+                let next = self.visit(s, j, start, &home, 0.0);
+                best = next.filter(|c| c.sse() < best.sse()).unwrap_or(best);
+            }
+            if best.sse() >= home.sse() {
+                break;
+            }
+        }
+        best
+    }
+
+    /// The values of the places on the ridge that explain the record nearly as well as the best one.
+    fn profile_range(&self, of: impl Fn([f64; 2]) -> f64, value: f64) -> [f64; 2] {
+        let near = self.on_ridge.iter().filter(|c| self.weight(c.sse()) > PROFILE);
+        near.fold([value, value], |all, c| hull(all, [of(centred(c)); 2]))
     }
 
     /// Random moves that go where the weight is (Metropolis).

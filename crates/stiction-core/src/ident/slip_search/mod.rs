@@ -13,6 +13,7 @@ pub(crate) mod coarse_scan;
 mod cuts;
 pub(crate) mod evaluator;
 pub(crate) mod interval;
+mod later;
 pub(crate) mod local_search;
 pub(crate) mod part;
 pub(crate) mod problem;
