@@ -27,12 +27,11 @@ pub(super) struct Moves {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Bands {
     pub s: f64,
-    /// The nearest to the one that was asked for.
     pub j: f64,
     pub start: Start,
 }
 
-/// What OP's way since the last move must exceed at the move, and must not before it.
+/// A threshold of OP's way since the last move: it is passed at `most`, and not yet at `least`.
 #[derive(Debug, Clone, Copy)]
 struct Threshold {
     most: f64,
@@ -42,7 +41,7 @@ struct Threshold {
 impl Threshold {
     const OPEN: Self = Self { most: f64::INFINITY, least: 0.0 };
 
-    /// The middle of what all moves leave open; where they contradict each other, what lets each happen, if too early.
+    /// The middle of what all moves leave open. Where they contradict each other, each still happens, some too early.
     fn middle(self) -> f64 {
         if self.least < self.most { 0.5 * (self.least + self.most) } else { (1.0 - JUST) * self.most }
     }
@@ -68,8 +67,8 @@ impl Moves {
         Self { list, law }
     }
 
-    /// The bands with which they happen `by` points later, with a jump near `near`; `None` where the record does not reach so far,
-    /// or no move turns.
+    /// The bands with which they happen `by` points later, with j as near to `near` as they allow; `None` where the record does
+    /// not reach so far, or no move turns. Of a point with several OP values the first counts.
     pub(super) fn later(&self, record: &NormalisedRecord, start: Start, near: f64, by: isize) -> Option<Bands> {
         let op = record.path.values();
         let per_point = record.path.per_point();
@@ -102,13 +101,13 @@ impl Moves {
             }
             from = to;
         }
-        let start = if starts { first_slip(record, start, first) } else { start };
+        let start = if starts { start_at(record, start, first) } else { start };
         s.most.is_finite().then(|| Bands { s: s.middle(), j: j.nearest(near), start })
     }
 }
 
-/// The start of a first slip at one of OP's values.
-fn first_slip(record: &NormalisedRecord, start: Start, at: usize) -> Start {
+/// A start in the same direction whose first slip happens at one of OP's values.
+fn start_at(record: &NormalisedRecord, start: Start, at: usize) -> Start {
     let sign = if start.up { 1.0 } else { -1.0 };
     let reached = record.path.values()[..=at].iter().fold(f64::NEG_INFINITY, |m, x| m.max(sign * x));
     let extremes = &record.extremes[usize::from(!start.up)];
