@@ -11,6 +11,7 @@ use stiction_core::record::{Sample, Signal, Value};
 use stiction_core::units::{format_rfc3339, s_from_ns};
 use stiction_files::inputs::Unit;
 use stiction_files::{End, InputKind, Item, METADATA_PREFIX, Message, RecordingReader};
+use stiction_monitor::analysis::repeated_timestamps;
 use stiction_monitor::codec;
 use stiction_monitor::codec::topic::{Leaf, Topic};
 
@@ -220,6 +221,9 @@ fn of_table(args: &InfoArgs, unit: &Unit, kind: InputKind) -> anyhow::Result<Inf
     for one in loaded.loops {
         let mut summary = LoopInfo { name: one.name, ..LoopInfo::default() };
         one.samples.iter().for_each(|sample| summary.take(sample));
+        for note in repeated_timestamps(&one.samples) {
+            super::warn(format_args!("{name}: loop {}: {note}", summary.name));
+        }
         info.messages += one.samples.len() as u64;
         sampling.push(one.about.as_ref().map(|about| about.ts_s));
         if let Some(about) = one.about {

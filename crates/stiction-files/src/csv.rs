@@ -197,7 +197,7 @@ impl Cells {
         }
         if let Some((line, text)) = &self.first_text {
             let count = self.texts;
-            warnings.push(format!("{count} cells are not numbers and count as missing, first {text:?} in line {line}"));
+            warnings.push(format!("{count} cells without a number count as missing, first {text:?} in line {line}"));
         }
         let Joined { samples, rows, missing, warnings: more } = self.rows.finish();
         warnings.extend(more);
@@ -308,7 +308,7 @@ mod tests {
         let read = table("t,op,pv\n0,\"1,234.5\",\"-1,150.10\"\n1,\"1,234,567\",2\n2,\"1,234\",\"1.234,5\"");
         let values: Vec<Option<f64>> = read.samples.iter().map(|s| s.value.as_number()).collect();
         assert_eq!(values, [Some(1234.5), Some(-1150.1), Some(1_234_567.0), Some(2.0), None, None]);
-        assert!(read.warnings[0].starts_with("2 cells are not numbers") && read.warnings[0].contains("line 4"));
+        assert!(read.warnings[0].starts_with("2 cells without a number") && read.warnings[0].contains("line 4"));
     }
 
     #[test]
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_that_stands_newest_first_is_read_in_order_of_time() {
+    fn a_table_that_stands_newest_first_or_in_disorder_is_read_in_order_of_time() {
         let rows: Vec<String> = (0..600).map(|k| format!("{k},{},{}", k % 7, k % 5)).collect();
         let forward = table(&format!("t,op,pv\n{}\n", rows.join("\n")));
         let turned: Vec<&str> = rows.iter().rev().map(String::as_str).collect();
@@ -345,8 +345,15 @@ mod tests {
         // Now and then late is not newest first, and stands as it came.
         let late = table("t,op,pv\n1,1,1\n3,1,1\n2,1,1\n4,1,1\n");
         assert!(!late.samples.is_sorted_by_key(|s| s.t_ns) && late.warnings.is_empty());
-        let mixed: Vec<String> = (0..60).map(|k| format!("{},1,1", k + 30 * (k % 3 / 2))).collect();
-        assert!(table(&format!("t,op,pv\n{}\n", mixed.join("\n"))).warnings[0].contains("goes back"));
+        let blocks: Vec<&str> = rows[300..].iter().chain(&rows[..300]).map(String::as_str).collect();
+        let sorted = table(&format!("t,op,pv\n{}\n", blocks.join("\n")));
+        assert_eq!(sorted.samples, forward.samples);
+        assert_eq!(sorted.warnings, ["the 600 rows are out of order: sorted by time"]);
+        // A clock that was set back is no disorder.
+        let set_back: Vec<String> = (0..600).map(|k| format!("{},1,1", k - 200 * (k / 400))).collect();
+        assert!(table(&format!("t,op,pv\n{}\n", set_back.join("\n"))).warnings.is_empty());
+        let shuffled: Vec<&str> = (0..600).map(|k| rows[k * 251 % 600].as_str()).collect();
+        assert_eq!(table(&format!("t,op,pv\n{}\n", shuffled.join("\n"))).samples, forward.samples);
     }
 
     proptest! {
@@ -367,7 +374,7 @@ mod tests {
             }
             let text = written(&samples);
             let back = table(&text);
-            if back.warnings.iter().any(|w| w.contains("newest first")) {
+            if back.warnings.iter().any(|w| w.contains("sorted by time")) {
                 prop_assert!(back.samples.is_sorted_by_key(|s| s.t_ns));
                 return Ok(());
             }

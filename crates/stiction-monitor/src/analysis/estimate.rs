@@ -127,7 +127,7 @@ pub struct Estimated {
 /// samples of the recording.
 ///
 /// # Errors
-/// The section is outside the samples, or has too few.
+/// The section is outside the samples, or has too few; OP lies outside its range.
 pub fn estimate(
     points: &Points,
     section: Section,
@@ -135,6 +135,14 @@ pub fn estimate(
     mut params: AssessParams,
 ) -> Result<Estimated, AnalysisError> {
     let (record, mut taken, notes) = cut.record(points, section, points.settings.window.max_points)?;
+    if let Some(range) = params.op_range.filter(|range| is_outside(&record.op_path, *range)) {
+        let ends = |of: fn(f64, f64) -> f64| record.op_path.iter().copied().fold(record.op_path[0], of);
+        return Err(AnalysisError::OutsideRange {
+            name: points.name.clone(),
+            op: [ends(f64::min), ends(f64::max)],
+            range,
+        });
+    }
     params.always_fit = true;
     if let (DelayChoice::Samples(count), Some(left)) = (params.fit.delay, &taken.downsample) {
         params.fit.delay = DelayChoice::Seconds(count * left.ts_s);
@@ -148,6 +156,16 @@ pub fn estimate(
     }
     let options = params.options(period_points);
     Ok(Estimated { record, taken, params, assessment, options, notes })
+}
+
+/// Share of its width by which OP may go beyond its range, as controllers let it.
+const BEYOND: f64 = 0.1;
+
+/// Whether most of OP lies beyond its range, so that the range is not OP's.
+fn is_outside(op: &[f64], [low, high]: [f64; 2]) -> bool {
+    let beyond = BEYOND * (high - low);
+    let outside = op.iter().filter(|x| !(low - beyond..=high + beyond).contains(*x)).count();
+    2 * outside > op.len()
 }
 
 /// Span of OP, OP units, the upper limit of `fs + fd`; `None` if OP does not move.

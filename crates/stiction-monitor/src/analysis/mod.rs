@@ -26,8 +26,9 @@ pub mod text;
 pub use cut::{Cut, Detrend, Downsampled, Taken};
 pub use due::Due;
 pub use estimate::{Answer, Estimated, FitOverrides, Scored, delay_choice, estimate};
-pub use points::{Judgeable, MIN_SAMPLES, Points, Section, usable};
+pub use points::{Judgeable, MIN_SAMPLES, Points, Section, repeated_timestamps, usable};
 
+use stiction_core::units::{format_rfc3339, number};
 use thiserror::Error;
 
 /// Why a section cannot be analysed.
@@ -36,8 +37,8 @@ use thiserror::Error;
 pub enum AnalysisError {
     #[error("{name}: samples {start} to {end} requested, but the loop has {there}")]
     Beyond { name: String, start: usize, end: usize, there: usize },
-    #[error("{name}: no samples with both OP and PV in this section; check that both columns have numbers there")]
-    Nothing { name: String },
+    #[error("{name}: no samples with both OP and PV in this section; {}", remedy(*joined_ns))]
+    Nothing { name: String, joined_ns: Option<[i64; 2]> },
     #[error(
         "{name}: the longest stretch without a data gap has {there} samples, at least {MIN_SAMPLES} are needed; choose a longer section"
     )]
@@ -53,4 +54,17 @@ pub enum AnalysisError {
     Twice { name: String },
     #[error("{name}: cannot downsample by {ratio}; use a ratio above 1")]
     Ratio { name: String, ratio: f64 },
+    #[error(
+        "{name}: OP runs from {} to {}, outside its range {} to {}; give the range in the units of OP, such as 0 to 100",
+        number(op[0]), number(op[1]), number(range[0]), number(range[1])
+    )]
+    OutsideRange { name: String, op: [f64; 2], range: [f64; 2] },
+}
+
+/// Where a loop has samples with both OP and PV.
+fn remedy(joined_ns: Option<[i64; 2]>) -> String {
+    match joined_ns.map(|ends| ends.map(format_rfc3339)) {
+        Some([first, last]) => format!("the loop has such samples from {first} to {last}"),
+        None => "check that both columns have numbers".to_owned(),
+    }
 }

@@ -76,6 +76,28 @@ pub fn usable(samples: &[Sample]) -> usize {
     of(Signal::Op).min(of(Signal::Pv))
 }
 
+/// Share of a signal's values with the timestamp of another value from which a note tells them.
+const REPEATS: f64 = 0.01;
+
+/// A note for OP and PV each where many of its values share their timestamps: of these one is used.
+#[must_use]
+pub fn repeated_timestamps(samples: &[Sample]) -> Vec<String> {
+    let note = |signal: Signal| {
+        let of: Vec<&Sample> = samples.iter().filter(|s| s.signal == signal).collect();
+        // The same value twice, as where two exports overlap, loses nothing.
+        let is_repeat = |pair: &&[&Sample]| pair[0].t_ns == pair[1].t_ns && pair[0].value != pair[1].value;
+        let (all, repeats) = (of.len(), of.windows(2).filter(is_repeat).count());
+        (repeats as f64 > REPEATS * all as f64).then(|| {
+            format!(
+                "{repeats} of {all} {} values are not used, because an earlier value has the same timestamp: if the export \
+                 cut the times, for example to the minute, export them in full",
+                signal.name().to_uppercase()
+            )
+        })
+    };
+    [Signal::Op, Signal::Pv].into_iter().filter_map(note).collect()
+}
+
 /// A loop's points with notes on them.
 #[derive(Debug, Clone)]
 pub struct Points {
@@ -105,7 +127,7 @@ impl Points {
     pub fn of(name: &str, samples: &[Sample], config: &Config) -> Self {
         let settings = Arc::new(config.loop_settings(name));
         let (stretches, counts) = align_all(samples, &settings.align);
-        let mut notes = Vec::new();
+        let mut notes = repeated_timestamps(samples);
         if counts.late + counts.stamp_outliers > 0 {
             let (late, outliers) = (counts.late, counts.stamp_outliers);
             notes.push(format!(
@@ -123,7 +145,8 @@ impl Points {
         let (from_ns, to_ns) = self.bounds(part)?;
         let end_ns = if let Section::Window(_, to) = part { Some(to) } else { None };
         let (record, outside) = section(&self.stretches, from_ns, to_ns, end_ns, max_points.min(1 << 40));
-        let record = record.ok_or_else(|| AnalysisError::Nothing { name: self.name.clone() })?;
+        let nothing = || AnalysisError::Nothing { name: self.name.clone(), joined_ns: self.ends_ns() };
+        let record = record.ok_or_else(nothing)?;
         if part != Section::Whole && record.raw_samples < MIN_SAMPLES {
             return Err(AnalysisError::Few { name: self.name.clone(), there: record.raw_samples });
         }
@@ -169,6 +192,13 @@ impl Points {
         Ok(self.stretches.iter().flatten().filter(inside).copied().collect())
     }
 
+    /// Timestamps of the first and last sample.
+    fn ends_ns(&self) -> Option<[i64; 2]> {
+        let first = self.stretches.iter().flatten().next()?;
+        let last = self.stretches.iter().rev().find_map(|stretch| stretch.last())?;
+        Some([first.t_ns, last.t_ns])
+    }
+
     /// First and last timestamp of a section.
     fn bounds(&self, part: Section) -> Result<(i64, i64), AnalysisError> {
         match part {
@@ -182,5 +212,20 @@ impl Points {
             }
             Section::Whole => Ok((i64::MIN, i64::MAX)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_that_share_a_timestamp_are_told_unless_they_are_equal() {
+        let sample = |t_ns, x| Sample { signal: Signal::Op, t_ns, value: Value::Number(x), quality: None };
+        let cut: Vec<Sample> = (0..120).map(|k| sample(i64::from(k / 60), f64::from(k))).collect();
+        let notes = repeated_timestamps(&cut);
+        assert!(notes.len() == 1 && notes[0].starts_with("118 of 120 OP values are not used"), "{notes:?}");
+        let twice: Vec<Sample> = (0..120).map(|k| sample(i64::from(k / 2), f64::from(k / 2))).collect();
+        assert_eq!(repeated_timestamps(&twice), Vec::<String>::new());
     }
 }

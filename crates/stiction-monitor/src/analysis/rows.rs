@@ -2,14 +2,17 @@
 //!
 //! An empty cell of OP or PV is a missing sample. In the other columns it is no sample (set points and modes are often
 //! written when they change), and so it is where OP and PV stand in rows of their own, as when both carry their own
-//! stamps. A table that stands newest first is put in order of time. What was done is said in a line each.
+//! stamps. A table that stands newest first, or in disorder, is put in order of time. What was done is said in a line each.
 
 use stiction_core::record::{Sample, Signal, Value};
 
 /// Steps back from which a table stands newest first, if they outnumber the steps on.
 const NEWEST_FIRST: u64 = 3;
-/// Steps back from which a table is told to be in disorder, if they are one in twenty: a few late rows are normal.
+/// Steps back from which a table is in disorder, if they are one in twenty: recordings have a few late rows, which stay where
+/// they came.
 const DISORDER: u64 = 10;
+/// Samples of the shortest of several blocks that are each in order.
+const BLOCK: usize = 20;
 
 /// Rows as they come.
 #[derive(Debug, Clone, Default)]
@@ -98,21 +101,18 @@ impl Rows {
         self.out
     }
 
-    /// Puts a table that stands newest first in order of time; rows of one time keep their order.
+    /// Puts a table that stands newest first, or in disorder, in order of time; rows of one time keep their order.
     fn order(&mut self) {
         let out = &mut self.out;
-        if self.backward >= NEWEST_FIRST && self.backward > self.forward {
-            let rows: Vec<&[Sample]> = out.samples.chunk_by(|a, b| a.t_ns == b.t_ns).rev().collect();
-            let mut turned = rows.concat();
-            turned.sort_by_key(|sample| sample.t_ns);
-            out.samples = turned;
+        let newest_first = self.backward >= NEWEST_FIRST && self.backward > self.forward;
+        if newest_first {
             out.warnings.push(format!("the {} rows are newest first: sorted by time", out.rows));
-        } else if self.backward >= DISORDER && 20 * self.backward > out.rows {
-            out.warnings.push(format!(
-                "time goes back {} times: rows later than the allowed lateness are not used in windows",
-                self.backward
-            ));
+        } else if self.backward >= DISORDER && 20 * self.backward > out.rows || swapped_blocks(&out.samples) {
+            out.warnings.push(format!("the {} rows are out of order: sorted by time", out.rows));
+        } else {
+            return;
         }
+        out.samples.sort_by_key(|sample| sample.t_ns);
     }
 
     fn drop_empty(&mut self) {
@@ -125,6 +125,17 @@ impl Rows {
         });
         self.out.missing -= self.empty.len() as u64;
     }
+}
+
+/// Whether samples come in blocks that are each in order and share no time with each other, as days that were joined in another
+/// order. A clock that was set back gives blocks, too, and they overlap.
+fn swapped_blocks(samples: &[Sample]) -> bool {
+    let mut blocks: Vec<&[Sample]> = samples.chunk_by(|a, b| a.t_ns <= b.t_ns).collect();
+    if blocks.len() < 2 || blocks.iter().any(|block| block.len() < BLOCK) {
+        return false;
+    }
+    blocks.sort_by_key(|block| block[0].t_ns);
+    blocks.windows(2).all(|pair| pair[0][pair[0].len() - 1].t_ns < pair[1][0].t_ns)
 }
 
 #[cfg(test)]
