@@ -32,7 +32,7 @@ use super::disturbance::Disturbance;
 use super::process::ProcessModel;
 use super::slips::Stroke;
 use crate::record::Signal;
-use crate::units::{parse_time, s_from_ns};
+use crate::units::{format_rfc3339, ns_from_s, parse_time};
 
 /// Why a text is not a valid scenario.
 #[derive(Debug, Error, Clone, PartialEq, Eq)]
@@ -385,14 +385,14 @@ impl Scenario {
     /// The truth about this plant in words: one paragraph per loop.
     #[must_use]
     pub fn truth(&self) -> String {
-        let end = s_from_ns(self.start_ns()) + self.run.duration_s;
+        let end_ns = self.start_ns() + ns_from_s(self.run.duration_s);
         let mut text = format!(
-            "Simulated plant {:?}: {} scans, one every {} s, from {} until {:.0} s since 1970, seed {}.\n",
+            "Simulated plant {:?}: {} scans, one every {} s, from {} to {}, seed {}.\n",
             self.site.prefix,
             self.scans(),
             self.run.ts_s,
             self.run.start,
-            end,
+            format_rfc3339(end_ns),
             self.run.seed
         );
         for spec in &self.loops {

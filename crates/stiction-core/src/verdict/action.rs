@@ -113,7 +113,7 @@ fn limit(a: &Assessment) -> String {
 #[must_use]
 pub fn better_data(reason: &str) -> &'static str {
     match reason {
-        "manual" => "record the loop in automatic",
+        "manual" => "choose a section in which the controller is in automatic, or record one",
         "bad_quality" => "find out why values are missing or bad, and record again",
         "frozen_pv" | "stuck_signal" => "check the transmitter, the block valves and the valve itself first",
         "frozen_op" => "record a time in which the controller moves OP",

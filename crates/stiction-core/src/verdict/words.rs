@@ -162,7 +162,7 @@ pub fn sureness(a: &Assessment) -> String {
 fn grade(a: &Assessment) -> String {
     let why = reservation(a).map_or_else(String::new, |why| format!(" ({why})"));
     match a.grade {
-        Some('A') => "grade A: no validity check limits it, s is known to 15 %".to_owned(),
+        Some('A') => "grade A: no validity check limits it, and the interval of s is narrow".to_owned(),
         Some(grade @ ('B' | 'C')) => format!("grade {grade}{why}"),
         _ => "grade D: no answer".to_owned(),
     }
@@ -217,8 +217,8 @@ pub fn disbelief(a: &Assessment) -> Option<String> {
 /// How large the stiction is, in a word, and of what: of travel where OP's range is known, else of OP's span.
 #[must_use]
 pub fn size_class(a: &Assessment) -> Option<(Size, &'static str)> {
-    let of_travel = a.severity_by_range.map(|size| (size, "of travel"));
-    of_travel.or_else(|| a.strength_by_span.map(|size| (size, "of OP's span")))
+    let of_travel = a.severity_by_range.map(|size| (size, "relative to travel"));
+    of_travel.or_else(|| a.strength_by_span.map(|size| (size, "relative to OP's span")))
 }
 
 /// The size, in OP units and in % of travel where the range is known; a lower bound where the estimate reaches its own
@@ -250,7 +250,7 @@ pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
         text = format!("{text}; static band {}, kinetic band {} OP units", number(fs), number(fd));
     }
     if let Some((class, of)) = size_class(a).filter(|(class, _)| *class != Size::None) {
-        text = format!("{text}; {} ({of})", class.name());
+        text = format!("{text}; {}, {of}", class.name());
     }
     Some(text)
 }
@@ -263,7 +263,9 @@ const UNNAMED: &str = "a sign in the record";
 pub fn looks_at(name: &str) -> &'static str {
     match name {
         "likelihood" => "how much better a model with friction explains the record than one without",
-        "confirmed" => "whether that fit is well supported (enough reversals of the stem, OP not an image of PV)",
+        "confirmed" => {
+            "whether the friction model is well supported (the stem reverses often enough, and OP is not a scaled copy of PV)"
+        }
         "horch" => "whether OP and PV are out of phase by a quarter period, as behind a sticking valve",
         "jumps" => "whether PV moves in jumps while OP moves steadily",
         "curve_fit" => "whether half cycles are triangles rather than sinusoids",
@@ -274,17 +276,24 @@ pub fn looks_at(name: &str) -> &'static str {
     }
 }
 
-/// What an indicator found, as a fact: where it points to sticking, and where it points away.
+/// Stiction index from which a model with friction explains PV clearly better than one without.
+const EXPLAINS: f64 = 0.5;
+
+/// What an indicator found, as a fact: where it points to sticking, and where it points away. `index` is the stiction index.
 #[must_use]
-fn fact(name: &str, towards: bool) -> &'static str {
+fn fact(name: &str, towards: bool, index: f64) -> &'static str {
     let [yes, no] = match name {
         "likelihood" => [
             "a model with friction explains PV better than one without",
-            "the fit with friction is hardly better than one without, or leaves more than noise",
+            if index >= EXPLAINS {
+                "the model with friction leaves more than noise unexplained"
+            } else {
+                "a model with friction explains PV hardly better than one without"
+            },
         ],
         "confirmed" => [
-            "that fit is well supported: enough reversals of the stem, OP not an image of PV",
-            "that fit may be an accident: few reversals of the stem, or OP an image of PV",
+            "the friction model is well supported: the stem reverses often enough, and OP is not a scaled copy of PV",
+            "the friction model may fit by accident: the stem reverses too seldom, or OP is a scaled copy of PV",
         ],
         "horch" => [
             "OP and PV are out of phase by a quarter period, as behind a sticking valve",
@@ -316,7 +325,7 @@ pub fn evidence(a: &Assessment) -> Vec<(String, f64)> {
     said.sort_by(|x, y| y.contribution.abs().total_cmp(&x.contribution.abs()));
     let words = |name: &str, c: f64| {
         let points = if c > 0.0 { "points to sticking" } else { "points away from sticking" };
-        capital(&format!("{}: {points}", fact(name, c > 0.0)))
+        capital(&format!("{}: {points}", fact(name, c > 0.0, a.stiction_index.unwrap_or(0.0))))
     };
     said.iter().map(|w| (words(w.name, w.contribution), w.contribution)).collect()
 }
@@ -417,7 +426,8 @@ mod tests {
     #[test]
     fn every_indicator_has_words() {
         for name in crate::verdict::features::names() {
-            assert!(looks_at(name) != UNNAMED && fact(name, true) != fact(name, false), "{name}");
+            let facts = [(true, 0.0), (false, 0.0), (false, 0.9)].map(|(towards, index)| fact(name, towards, index));
+            assert!(looks_at(name) != UNNAMED && facts[0] != facts[1] && facts[0] != facts[2], "{name}");
         }
     }
 

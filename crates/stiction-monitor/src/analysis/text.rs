@@ -98,7 +98,7 @@ fn bands(a: &Assessment, rows: &mut Rows) {
             rows.add("90 %", format!("{name} {} to {}{open}", number(Some(low)), number(Some(high))));
         }
     }
-    let class = words::size_class(a).map(|(size, of)| format!("{} ({of})", size.name()));
+    let class = words::size_class(a).map(|(size, of)| format!("{}, {of}", size.name()));
     let region = a.region.map(|region| region.name().replace('_', " "));
     rows.add("class", [class, region].into_iter().flatten().collect::<Vec<_>>().join(", "));
 }

@@ -19,7 +19,7 @@ function facts(row, estimate) {
   if (estimate.grade) list.push(fact("Grade", GRADES[estimate.grade] ? GRADES[estimate.grade].replace("grade ", "") : estimate.grade));
   if (estimate.s !== null && estimate.stiction !== false) list.push(fact([h("i", null, "s"), " dead band plus stick band"], sizeOf(estimate, unit) ?? band("s")), fact([h("i", null, "j"), " slip jump"], estimate.j_identifiable === false ? `${band("j")}, not identifiable` : band("j")), fact([h("i", null, "fs"), " static band"], band("fs")), fact([h("i", null, "fd"), " kinetic band"], band("fd")));
   if (estimate.stiction_index !== null) list.push(fact("Stiction index", format.number(estimate.stiction_index)));
-  const size = estimate.severity_by_range ? `${estimate.severity_by_range} (of travel)` : estimate.strength_by_span ? `${estimate.strength_by_span} (of OP’s span)` : null;
+  const size = estimate.severity_by_range ? `${estimate.severity_by_range}, relative to travel` : estimate.strength_by_span ? `${estimate.strength_by_span}, relative to OP’s span` : null;
   if (size && estimate.stiction) list.push(fact("Size", size));
   if (estimate.s_detectable !== null && estimate.s_detectable !== undefined) list.push(fact("Detection limit of s", `${format.number(estimate.s_detectable)} ${unit}`));
   if (estimate.oscillation?.period_s) list.push(fact("Period", `${format.duration(estimate.oscillation.period_s)}, ${format.number(estimate.oscillation.periods)} in the window`));

@@ -138,6 +138,7 @@ fn words(part: &PartNote) -> String {
         id => {
             let sure = match part.confirmed {
                 Some(true) => "confirmed",
+                _ if id == WANDERING_CYCLE => "suspected: one record cannot confirm it",
                 _ => "suspected, not confirmed",
             };
             let gain = part.gain_nats.map_or_else(String::new, |g| format!(" (gain {} nats)", number(g)));
@@ -274,7 +275,7 @@ mod tests {
         let size = |value: f64, unit: &str| super::super::super::sizes::Quantity { value, unit: unit.to_owned() };
         part.parameters =
             [("period".to_owned(), size(37.0, "s")), ("coherence".to_owned(), size(6.0, "1"))].into_iter().collect();
-        let want = "an external oscillation of period 37 s that keeps its phase for about 6 periods, suspected, not confirmed (gain 52 nats)";
+        let want = "an external oscillation of period 37 s that keeps its phase for about 6 periods, suspected: one record cannot confirm it (gain 52 nats)";
         assert_eq!(words(&part), want);
     }
 

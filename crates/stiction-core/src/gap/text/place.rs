@@ -204,7 +204,7 @@ pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
         row("traces", met.join(", "));
     }
     let e = &l.excitation;
-    let jumps = e.jumps_per_half_cycle.map_or(String::new(), |j| format!(", {} slips a half cycle", number(j)));
+    let jumps = e.jumps_per_half_cycle.map_or(String::new(), |j| format!(", {} slips between reversals", number(j)));
     let moves = e.setpoint_moves.map_or(String::new(), |m| format!(", {m} moves of the set point"));
     row("excitation", format!("{} positions of the stem{jumps}{moves}", e.levels));
 }
