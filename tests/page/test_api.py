@@ -67,6 +67,7 @@ def test_what_is_not_there_and_what_does_not_fit_is_refused_in_words(plant):
         "/api/v1/loops/none/window": 404,
         "/api/v1/loops/none": 404,
         f"/api/v1/loops/{LOOP}/trend?from_ms=abc": 400,
+        f"/api/v1/loops/{LOOP}/trend?from=2026-01-05": 400,
         f"/api/v1/loops/{LOOP}/trend?from_ms=2&to_ms=1": 422,
         f"/api/v1/loops/{LOOP}/trend?points=-1": 400,
         f"/api/v1/loops/{LOOP}/trend?from_ms=-1e300&to_ms=1e300&points=99999999": 200,

@@ -26,7 +26,7 @@ use stiction_runtime::clock::now_ns;
 /// Points of a curve, if nobody says how many, and at most.
 const POINTS: usize = 2_000;
 const MOST_POINTS: usize = 20_000;
-/// How far back is looked if nobody says.
+/// How far before the newest sample is looked if nobody says.
 const PAST_S: f64 = 90.0 * 86_400.0;
 /// Windows and changes that are given, at most: the newest.
 const MOST_WINDOWS: usize = 5_000;
@@ -108,6 +108,7 @@ struct Changes {
 
 /// A stretch of time, and how many points of it.
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct Range {
     from_ms: Option<f64>,
     to_ms: Option<f64>,
@@ -115,8 +116,9 @@ pub(super) struct Range {
 }
 
 pub(super) const FROM: Parameter =
-    Parameter { name: "from_ms", words: "first stamp, ms since 1970; 90 days ago if absent" };
-pub(super) const TO: Parameter = Parameter { name: "to_ms", words: "last stamp, ms since 1970; the newest if absent" };
+    Parameter { name: "from_ms", words: "first stamp, ms since 1970; 90 days before the newest sample if absent" };
+pub(super) const TO: Parameter =
+    Parameter { name: "to_ms", words: "last stamp, ms since 1970; now, or a later newest sample, if absent" };
 const FEWER: Parameter = Parameter { name: "points", words: "about how many points; 2000 if absent, 20000 at most" };
 
 pub(super) fn operations() -> Vec<Operation<Shared>> {
@@ -155,11 +157,17 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 }
 
 impl Range {
-    /// First and last stamp. Plants whose clock is ahead, and those that are simulated, have a past beyond now.
+    /// First and last stamp of a loop.
     pub(super) fn ns(&self, live: &Shared, name: &str) -> Result<[i64; 2], ApiError> {
-        let newest = || live.overview.newest(name).and_then(|n| n.newest_ns).unwrap_or(i64::MIN);
-        let to = self.to_ms.map_or_else(|| now_ns().max(newest()), ns_from_ms);
-        let from = self.from_ms.map_or(to.saturating_sub(ns_from_s(PAST_S)), ns_from_ms);
+        self.with_newest(live.overview.newest(name).and_then(|n| n.newest_ns), now_ns())
+    }
+
+    /// First and last stamp. Plants whose clock is ahead, and those that are simulated, have a past beyond now; recordings that
+    /// are played have one long before it.
+    fn with_newest(&self, newest_ns: Option<i64>, now_ns: i64) -> Result<[i64; 2], ApiError> {
+        let to = self.to_ms.map_or(now_ns.max(newest_ns.unwrap_or(i64::MIN)), ns_from_ms);
+        let end = newest_ns.map_or(to, |newest_ns| newest_ns.min(to));
+        let from = self.from_ms.map_or(end.saturating_sub(ns_from_s(PAST_S)), ns_from_ms);
         let finite = [self.from_ms, self.to_ms].iter().flatten().all(|ms| ms.is_finite());
         if finite && from <= to { Ok([from, to]) } else { Err(ApiError::unfit("from_ms must be before to_ms")) }
     }
@@ -273,6 +281,19 @@ mod tests {
     use super::*;
     use serde_json::json;
     use std::path::Path;
+
+    #[test]
+    fn a_past_ends_at_the_newest_sample_whatever_the_clock_says() {
+        let days = |n: i64| n * 86_400_000_000_000;
+        let all = Range { from_ms: None, to_ms: None, points: None };
+        for (newest, want) in [(None, [910, 1000]), (Some(1200), [1110, 1200]), (Some(500), [410, 1000])] {
+            assert_eq!(all.with_newest(newest.map(days), days(1000)).ok(), Some(want.map(days)), "{newest:?}");
+        }
+        let to_ms = Some(ms_from_ns(days(450)));
+        let early = Range { from_ms: None, to_ms, points: None };
+        assert_eq!(early.with_newest(Some(days(500)), days(1000)).ok(), Some([360, 450].map(days)));
+        assert!(Range { from_ms: to_ms, to_ms: Some(0.0), points: None }.with_newest(None, 0).is_err());
+    }
 
     #[test]
     fn what_no_file_shows_yet_counts_once_and_within_the_range_only() {
