@@ -44,7 +44,7 @@ use stiction_report::maker::Analysed;
   stictiond analyze exports/ --plant
   stictiond analyze june.csv --map op=41FY101,pv=41FI101 --time-format dmy --tz UTC
 
-Bands are sought with 0 <= fd <= fs and fs + fd <= S0, the span of OP. Ctrl-C ends after the loop under way; what is
+Bands are sought with 0 <= fd <= fs and fs + fd <= S0, the span of OP. Ctrl-C ends after the loop under way; what is \
 known by then has been printed, and the exit code is 1. At least 30 samples are needed, 50 a period are wanted.")]
 pub struct Args {
     /// Tables (columns t,op,pv[,sp][,mv][,mode]), exports of other systems (.csv, .txt, .xlsx, .parquet, .arrow),
@@ -61,13 +61,13 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "auto", help_heading = "Model")]
     pub model: ModelArg,
     /// Dead time: auto, a number of samples, or seconds such as 12s; fractions too.
-    #[arg(long, default_value = "auto", value_parser = delay, help_heading = "Model")]
+    #[arg(long, default_value = "auto", value_parser = delay, allow_negative_numbers = true, help_heading = "Model")]
     pub delay: DelayChoiceArg,
     /// Valve law.
     #[arg(long, value_enum, default_value = "auto", help_heading = "Model")]
     pub valve: ValveArg,
     /// Range of OP, so that sizes are given in % of travel.
-    #[arg(long, value_name = "LO,HI", value_parser = rising, help_heading = "Model")]
+    #[arg(long, value_name = "LO,HI", value_parser = rising, allow_hyphen_values = true, help_heading = "Model")]
     pub op_range: Option<[f64; 2]>,
     /// Also run a model from elsewhere over the record and say how well it follows: an estimate, a gap document's
     /// model, or a plain one (JSON). It changes nothing else.
@@ -258,7 +258,7 @@ fn one_file(args: &Args, unit: &Unit, desk: &mut OutputWriter) -> anyhow::Result
     loaded.warnings.iter().for_each(|warning| desk.warn(warning.clone()));
     let config = config_of(&unit.paths)?;
     let place = unit.name();
-    let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
+    let chosen = args.selection.loops(&loaded).map_err(|e| anyhow!("{place}: {e}"))?;
     check_samples(&place, &chosen)?;
     let hash = config.hash();
     let work = |one: &&LoadedLoop, bar: &ProgressBar| of_loop(args, one, &config, &hash, bar);
@@ -350,7 +350,7 @@ fn of_file(args: &Args, unit: &Unit, bar: &ProgressBar) -> anyhow::Result<OfFile
     let config = config_of(&unit.paths)?;
     let hash = config.hash();
     let chosen: Vec<&LoadedLoop> = match &args.selection.loop_name {
-        Some(_) => args.selection.loops(&loaded.loops).unwrap_or_default(),
+        Some(_) => args.selection.loops(&loaded).unwrap_or_default(),
         None => loaded.loops.iter().collect(),
     };
     if !chosen.is_empty() {

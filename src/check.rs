@@ -42,7 +42,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let path = args.config.display().to_string();
     let running = match (&args.running, &parsed) {
         (Some(url), Ok(config)) if faults.is_empty() => {
-            let running = Running::of(config, Some(url.as_str()).filter(|url| !url.is_empty()))?;
+            let running = Running::of(config, Some(url.as_str()).filter(|url| !url.is_empty()), "--running=URL")?;
             let changes = running.changes(&text)?;
             Some((running.url, changes))
         }

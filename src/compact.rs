@@ -69,7 +69,7 @@ pub struct NewArgs {
     #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
     pub start: Vec<String>,
     /// Resample uneven data to one sample every SECONDS: OP held, PV interpolated linearly.
-    #[arg(long, value_name = "SECONDS", value_parser = resample)]
+    #[arg(long, value_name = "SECONDS", value_parser = resample, allow_negative_numbers = true)]
     pub resample: Option<f64>,
     /// Options for reading exports.
     #[command(flatten)]

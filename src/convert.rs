@@ -51,7 +51,7 @@ pub struct ConvertArgs {
     #[arg(long = "loop", value_name = "NAME")]
     pub loop_name: Option<String>,
     /// Resample to one sample every SECONDS: OP, SP and MODE are held, PV and MV interpolated linearly
-    #[arg(long, value_name = "SECONDS", value_parser = resample)]
+    #[arg(long, value_name = "SECONDS", value_parser = resample, allow_negative_numbers = true)]
     pub resample: Option<f64>,
     /// Write Parquet files by loop and day into the folder OUT: loop=NAME/day=YYYY-MM-DD/part-0.parquet
     #[arg(long, value_name = "loop,day", value_parser = ["loop,day"])]

@@ -32,7 +32,7 @@ pub struct Args {
     #[arg(required_unless_present = "connect", conflicts_with = "connect")]
     pub input: Vec<PathBuf>,
     /// Zenoh endpoint of the bus to examine, such as tcp/127.0.0.1:7447.
-    #[arg(long)]
+    #[arg(long, value_parser = bus::endpoint)]
     pub connect: Option<String>,
     /// Zenoh key expression of the keys to examine.
     #[arg(long, default_value = "**", requires = "connect")]

@@ -11,7 +11,7 @@ use zenoh::qos::CongestionControl;
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, say};
-use stiction_command::bus::{connect, prefix};
+use stiction_command::bus::{connect, endpoint, prefix};
 use stiction_core::record::Sample;
 use stiction_core::units::s_from_ns;
 use stiction_files::LoadedLoop;
@@ -38,13 +38,13 @@ pub struct Args {
     #[command(flatten)]
     pub reading: ReadArgs,
     /// Zenoh endpoint of the daemon or router, such as tcp/127.0.0.1:7447.
-    #[arg(long)]
+    #[arg(long, value_parser = endpoint)]
     pub connect: String,
     /// Key prefix of the published samples, such as plant1/area1.
     #[arg(long, value_parser = prefix)]
     pub prefix: String,
     /// Speed as a multiple of real time, or max (20,000 messages/s).
-    #[arg(long, default_value = "1", value_parser = speed)]
+    #[arg(long, default_value = "1", value_parser = speed, allow_negative_numbers = true)]
     pub speed: Speed,
 }
 

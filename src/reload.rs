@@ -31,7 +31,7 @@ pub struct Args {
 /// The file has faults, no daemon answers, or it refuses the file.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let (text, config) = config_file(&args.config)?;
-    let running = Running::of(&config, args.url.as_deref())?;
+    let running = Running::of(&config, args.url.as_deref(), "--url")?;
     let changes = running.reload()?;
     let left = running.changes(&text)?;
     if !left.is_empty() {

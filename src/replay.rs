@@ -35,7 +35,7 @@ pub struct Args {
     #[arg(long, requires = "connect")]
     pub publish: bool,
     /// Zenoh endpoint to publish to, such as tcp/127.0.0.1:7447.
-    #[arg(long, requires = "publish")]
+    #[arg(long, requires = "publish", value_parser = stiction_command::bus::endpoint)]
     pub connect: Option<String>,
 }
 
@@ -65,7 +65,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let (files, compared, unchecked) = (totals.files, totals.compared, totals.unchecked);
     if args.verify {
         if compared == 0 {
-            tracing::warn!("nothing to compare: the recordings contain no estimates, alarms or gaps");
+            tracing::warn!("nothing to compare: no estimates, alarms or gaps can be read from the recordings");
         }
         if unchecked > 0 {
             tracing::warn!(
@@ -77,9 +77,10 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             Format::Json => {
                 let schema = "stictiond.replay.v1";
                 say(
-                    json!({"schema": schema, "files": files, "compared": compared, "unchecked": unchecked, "equal": true}),
+                    json!({"schema": schema, "files": files, "compared": compared, "unchecked": unchecked, "equal": (compared > 0).then_some(true)}),
                 )?
             }
+            Format::Text if compared == 0 => say(format!("{files} files: nothing was compared"))?,
             Format::Text => {
                 say(format!("{files} files, {compared} estimates, alarms, gaps and groups: all equal to the byte"))?
             }
@@ -198,6 +199,10 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
 
 /// A file from another version, or whose configuration reads differently now, is not expected to give equal results.
 fn refuse_foreign(args: &Args, path: &Path, metadata: &RunMetadata) -> anyhow::Result<Option<Outcome>> {
+    if metadata.config_hash.is_empty() {
+        tracing::error!(file = %path.display(), "no daemon made it, so it has no results to compare; replay it without --verify");
+        return Ok(Some(Outcome::Usage));
+    }
     if metadata.config.hash() != metadata.config_hash {
         let (was, is) = (&metadata.config_hash, metadata.config.hash());
         tracing::error!(file = %path.display(), "recorded with config_hash {was}, but this version reads its configuration as {is}; verify it with the version that made it");

@@ -24,14 +24,15 @@ pub(super) struct Running {
 }
 
 impl Running {
-    /// The daemon of this configuration: at `url`, else where the configuration says that its page is.
+    /// The daemon of this configuration: at `url`, else where the configuration says that its page is. `option` is the one that
+    /// names the page, for errors.
     ///
     /// # Errors
     /// The configuration names no address, nothing answers there, or the daemon there is of another site.
-    pub fn of(config: &Config, url: Option<&str>) -> anyhow::Result<Self> {
+    pub fn of(config: &Config, url: Option<&str>, option: &str) -> anyhow::Result<Self> {
         let url = match url {
             Some(url) => url.trim_end_matches('/').to_owned(),
-            None => page_of(config)?,
+            None => page_of(config, option)?,
         };
         let token_file = &config.web.page.token_file;
         let token = (!token_file.is_empty()).then(|| {
@@ -46,11 +47,14 @@ impl Running {
             .proxy(None);
         let token = token.transpose()?.map(|text| text.trim().to_owned());
         let running = Self { agent: settings.build().into(), url, token };
-        let site = running.answer(running.agent.get(running.place("/site")).call())?;
+        let absent = || format!("no daemon answers at {}: start it, or name its page by {option}", running.url);
+        let site =
+            running.agent.get(running.place("/site")).call().map_err(|error| anyhow!(error)).with_context(absent)?;
+        let site = running.answer(site)?;
         let (wanted, found) = (&config.site.prefix, site["prefix"].as_str().unwrap_or_default());
         ensure!(
             found == wanted,
-            "{} is the daemon of {found:?}, not of {wanted:?}: name its page by --url",
+            "{} is the daemon of {found:?}, not of {wanted:?}: name its page by {option}",
             running.url
         );
         Ok(running)
@@ -82,15 +86,15 @@ impl Running {
         if let Some(token) = &self.token {
             request = request.header("authorization", format!("Bearer {token}"));
         }
-        let changes = self.answer(request.send(body.to_string().as_bytes()))?;
+        let gone = || format!("the daemon at {} has stopped answering", self.url);
+        let answer = request.send(body.to_string().as_bytes()).map_err(|error| anyhow!(error)).with_context(gone)?;
+        let changes = self.answer(answer)?;
         serde_json::from_value(changes).with_context(|| format!("{}: not an answer of this version", self.url))
     }
 
     /// The JSON of an answer.
-    fn answer(&self, response: Result<ureq::http::Response<ureq::Body>, ureq::Error>) -> anyhow::Result<Value> {
+    fn answer(&self, mut response: ureq::http::Response<ureq::Body>) -> anyhow::Result<Value> {
         let url = &self.url;
-        let absent = || format!("no daemon answers at {url}: start it, or name its page by --url");
-        let mut response = response.map_err(|error| anyhow!(error)).with_context(absent)?;
         let status = response.status();
         let text = response.body_mut().read_to_string().with_context(|| url.clone())?;
         let body: Value = serde_json::from_str(&text).unwrap_or_default();
@@ -105,11 +109,11 @@ impl Running {
 }
 
 /// The address of the page that a configuration names, as this machine reaches it.
-fn page_of(config: &Config) -> anyhow::Result<String> {
+fn page_of(config: &Config, option: &str) -> anyhow::Result<String> {
     let listen = &config.web.listen;
     ensure!(config.web.enabled && config.web.page.enabled, "the page is switched off ([web] page): {OTHERWISE}");
     let mut address: SocketAddr = listen.parse().with_context(|| listen.clone())?;
-    ensure!(address.port() != 0, "[web] listen = {listen:?} names no port: name the daemon's page by --url");
+    ensure!(address.port() != 0, "[web] listen = {listen:?} names no port: name the daemon's page by {option}");
     if address.ip().is_unspecified() {
         let local = if address.is_ipv4() { [127, 0, 0, 1].into() } else { std::net::Ipv6Addr::LOCALHOST.into() };
         address.set_ip(local);
@@ -124,7 +128,7 @@ mod tests {
     #[test]
     fn the_page_is_where_this_machine_reaches_it() {
         let of = |web: &str| {
-            page_of(&Config::parse(&format!("[site]\nprefix = \"p\"\n[web]\n{web}")).unwrap())
+            page_of(&Config::parse(&format!("[site]\nprefix = \"p\"\n[web]\n{web}")).unwrap(), "--url")
                 .map_err(|e| e.to_string())
         };
         for (listen, url) in [

@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use super::UsageError;
 use stiction_command::values::pair;
 use stiction_core::units::parse_time;
-use stiction_files::LoadedLoop;
+use stiction_files::{Loaded, LoadedLoop};
 use stiction_monitor::analysis::{AnalysisError, Cut, Detrend, Points, Section};
 use stiction_monitor::config::Config;
 
@@ -21,11 +21,11 @@ pub struct Selection {
     pub samples: Vec<(usize, usize)>,
     /// Times T0 to T1, both included: seconds since 1970, RFC 3339, or nanoseconds with the suffix ns; repeat for
     /// several sections.
-    #[arg(long, value_name = "T0,T1", value_parser = time_range, help_heading = "Selecting data")]
+    #[arg(long, value_name = "T0,T1", value_parser = time_range, allow_hyphen_values = true, help_heading = "Selecting data")]
     pub window: Vec<(i64, i64)>,
     /// Downsample to one point per R samples (any number above 1) without aliasing: the valve model still runs on every
     /// OP sample; its output and PV are averaged over the same bins.
-    #[arg(long, value_name = "R", value_parser = ratio, help_heading = "Selecting data")]
+    #[arg(long, value_name = "R", value_parser = ratio, allow_negative_numbers = true, help_heading = "Selecting data")]
     pub downsample: Option<f64>,
     /// Downsample by dropping samples, OP's too, as the toolbox does. May alias.
     #[arg(long, requires = "downsample", help_heading = "Selecting data")]
@@ -58,14 +58,14 @@ impl From<DetrendArg> for Detrend {
 }
 
 fn samples_range(text: &str) -> Result<(usize, usize), String> {
-    let (start, end) = pair(text)?;
+    let (start, end) = pair(text, "50,500")?;
     let whole = |s: &str| s.trim().parse::<usize>().map_err(|_| format!("{s:?} is not a whole number"));
     let range = (whole(start)?, whole(end)?);
     Section::of_samples(range.0, range.1).map(|_| range)
 }
 
 fn time_range(text: &str) -> Result<(i64, i64), String> {
-    let (start, end) = pair(text)?;
+    let (start, end) = pair(text, "2026-01-05T08:00:00Z,2026-01-05T09:00:00Z")?;
     let time = |s: &str| match s.trim().strip_suffix("ns") {
         Some(ns) => ns.parse::<i64>().map_err(|_| format!("{s:?} is not a whole number of ns")),
         None => parse_time(s).map_err(|e| e.to_string()),
@@ -87,12 +87,15 @@ impl Selection {
     /// The selected loops.
     ///
     /// # Errors
-    /// There is no such loop.
-    pub fn loops<'l>(&self, loops: &'l [LoadedLoop]) -> anyhow::Result<Vec<&'l LoadedLoop>> {
+    /// There is no such loop, or none at all.
+    pub fn loops<'l>(&self, loaded: &'l Loaded) -> anyhow::Result<Vec<&'l LoadedLoop>> {
         match &self.loop_name {
-            Some(wanted) => Ok(vec![stiction_files::choose_loop(loops, wanted).map_err(anyhow::Error::msg)?]),
-            None if loops.is_empty() => bail!("no loop found: a loop needs an OP and a PV"),
-            None => Ok(loops.iter().collect()),
+            _ if loaded.loops.is_empty() && loaded.data_loss => {
+                bail!("the file is damaged, and no sample in it can be read")
+            }
+            Some(wanted) => Ok(vec![stiction_files::choose_loop(&loaded.loops, wanted).map_err(anyhow::Error::msg)?]),
+            None if loaded.loops.is_empty() => bail!("no loop found: a loop needs an OP and a PV"),
+            None => Ok(loaded.loops.iter().collect()),
         }
     }
 

@@ -28,7 +28,7 @@ const USUAL: &str = "expectations.toml";
     loop    where the input has several; also names the loop of a table without tags
     until   a time; later samples are not used
     map, tz how an export is read, as the options of the same name
-  and what the newest window and the alarm should be then:
+and what the newest window and the alarm should be then:
     verdict, reason                              a word of the estimate
     s, j, p_stiction, stiction_index, period_s   [LOWEST, HIGHEST]
     alarm                                        true if active

@@ -4,8 +4,11 @@ mod methods;
 mod report;
 mod simulated;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+use anyhow::ensure;
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome, on_all_cores};
@@ -18,12 +21,14 @@ use stiction_monitor::analysis::Judgeable;
 /// wrong case.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "INDEX.csv has the columns file and label, with paths relative to itself. The labels stiction and deadband
-    are positive; no_stiction, tuning and disturbance negative; other labels are shown but not scored.
-    Optional columns: same_data_group (recordings with the same data), valve, loop. Without a valve
-    column the valve is the loop (else the file name) without groups of digits after underscores and
-    without what follows -DB-: FIC101_0609_0957 and FIC101_0624_0242 are one valve, FIC101.
-    Simulated loops have seeds of the half that nothing was fitted to; half of them stick.
+    after_help = "INDEX.csv has the columns file and label, with paths relative to itself. The labels stiction and deadband are \
+    positive; no_stiction, tuning and disturbance negative; other labels are shown but not scored. Optional columns: \
+    same_data_group (recordings with the same data), valve, loop. Without a valve column the valve is the loop (else the file \
+    name) without groups of digits after underscores and without what follows -DB-: FIC101_0609_0957 and FIC101_0624_0242 are \
+    one valve, FIC101.
+
+Simulated loops have seeds of the half that nothing was fitted to; half of them stick.
+
 Examples:
   stictiond evaluate labelled/INDEX.csv
   stictiond evaluate --simulated 1000
@@ -82,7 +87,7 @@ pub(super) fn records(index: &Path) -> anyhow::Result<Vec<(Record, AssessParams)
 /// Runs the command. A case that cannot be read gives an error line and does not end the command.
 ///
 /// # Errors
-/// The index cannot be read.
+/// The index cannot be read, or none of its files.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let loops = args.simulated.map(|count| simulated::Loops { count, seed: args.seed });
     let judged = match &args.index {
@@ -94,7 +99,10 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         return Ok(Outcome::Done);
     }
     if args.index.is_some() {
+        warn_of_labels(&judged);
         report::print(&judged, format)?;
+        let unreadable = judged.iter().filter(|one| one.result.is_err()).count();
+        ensure!(unreadable < judged.len(), "no file of the index can be read");
     }
     match loops {
         Some(loops) if args.alarms => simulated::print_alarms(loops, format)?,
@@ -102,6 +110,21 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         None => {}
     }
     Ok(Outcome::Done)
+}
+
+/// Says which labels are not scored: one may be misspelt.
+fn warn_of_labels(judged: &[Judged]) {
+    let mut unscored: BTreeMap<&str, u64> = BTreeMap::new();
+    for one in judged.iter().filter(|one| one.case.truth().is_none()) {
+        *unscored.entry(&one.case.label).or_default() += 1;
+    }
+    for (label, count) in unscored {
+        super::warn(format_args!(
+            "label {label:?} ({count} of {} recordings) is not scored; scored labels are {}",
+            judged.len(),
+            Case::SCORED.join(", ")
+        ));
+    }
 }
 
 fn judge_all(index: &Path, args: &Args) -> anyhow::Result<Vec<Judged>> {

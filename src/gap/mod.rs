@@ -141,7 +141,7 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     }
     let config = config_of(&args.input)?;
     let place = args.input();
-    let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
+    let chosen = args.selection.loops(&loaded).map_err(|e| anyhow!("{place}: {e}"))?;
     let neighbours = args.others.read(&args.reading, &loaded.loops)?;
     let sections = args.selection.sections();
     let wanted = chosen.len() * sections.len();

@@ -36,7 +36,7 @@ fn read(args: &Diagnose) -> anyhow::Result<Read> {
         let loaded = args.reading.load(&unit)?;
         out.warnings.extend(loaded.warnings.iter().map(|w| format!("{place}: {w}")));
         out.data_loss |= loaded.data_loss;
-        let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
+        let chosen = args.selection.loops(&loaded).map_err(|e| anyhow!("{place}: {e}"))?;
         let [one] = &chosen[..] else {
             bail!("{place}: {} loops; --pool takes windows of one: choose it by --loop", chosen.len());
         };

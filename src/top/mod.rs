@@ -25,7 +25,7 @@ use self::board::{LoopTable, Now};
 use self::cells::{Figure, TerminalStyle};
 use self::view::View;
 use super::reading::config_file;
-use super::{Format, Outcome, UsageError, asked_to_stop, block_on, say};
+use super::{Format, Outcome, asked_to_stop, block_on, say};
 use stiction_core::units::ms_from_ns;
 
 /// Default endpoint of a daemon.
@@ -42,7 +42,7 @@ const TEXT_WIDTH: usize = 132;
 #[command(after_help = "Example: stictiond top --connect tcp/gateway.plant:7447 --prefix plant1/area1")]
 pub struct Args {
     /// Zenoh endpoint of a daemon or router; repeatable [default: tcp/127.0.0.1:7447].
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", value_parser = stiction_command::bus::endpoint)]
     pub connect: Vec<String>,
     /// Key prefix of the daemons; needed only if several plants share the bus.
     #[arg(long, value_parser = stiction_command::bus::prefix)]
@@ -165,9 +165,6 @@ impl Reach {
     }
 
     fn over(endpoints: Vec<String>, prefix: Option<String>, mut config: zenoh::Config) -> anyhow::Result<Self> {
-        if let Some(wrong) = endpoints.iter().find(|endpoint| !endpoint.contains('/')) {
-            return Err(UsageError(format!("{wrong:?} is not an endpoint; write one such as {USUAL}")).into());
-        }
         let timeout = bus::ANSWER_WITHIN.as_millis().to_string();
         let list = serde_json::to_string(&endpoints)?;
         // A client keeps to one of its endpoints; a peer has links to all of them.

@@ -343,3 +343,68 @@ fn real_tables_survive() {
     }
     assert!(count > 0, "{} holds no table", data.display());
 }
+
+/// A table of a slow wave, its times in seconds at each row by `time`.
+fn slow_wave(time: impl Fn(usize) -> usize) -> String {
+    let row = |k: usize| {
+        let phase = k as f64 / 20.0;
+        format!("{},{:.4},{:.4}\n", 1_700_000_000 + time(k), 50.0 + 5.0 * phase.sin(), 9.0 + phase.cos())
+    };
+    (0..600).fold("t,op,pv\n".to_owned(), |text, k| text + &row(k))
+}
+
+#[test]
+fn times_that_were_cut_and_a_range_that_is_not_ops_are_said() {
+    let folder = Folder::new();
+    let (whole, cut) =
+        (folder.write("whole.csv", slow_wave(|k| k)), folder.write("cut.csv", slow_wave(|k| k / 60 * 60)));
+    for command in ["info", "analyze"] {
+        assert!(stderr(&expect(0, &[command, &whole])).is_empty(), "{command}");
+        let said = stderr(&expect(0, &[command, &cut]));
+        assert!(said.contains("590 of 600 OP values are not used"), "{command}: {said}");
+    }
+    let said = stderr(&expect(1, &["analyze", &whole, "--op-range", "0,1"]));
+    assert!(said.contains("OP runs from 45 to 55, outside its range 0 to 1"), "{said}");
+    expect(0, &["analyze", &whole, "--op-range", "-50,150"]);
+    let said = stderr(&expect(2, &["analyze", &whole, "--op-range", "5"]));
+    assert!(said.contains("such as 0,100"), "{said}");
+    let said = stderr(&expect(1, &["analyze", &whole, "--window", "0,10"]));
+    assert!(said.contains("from 2023-11-14T22:13:20Z to 2023-11-14T22:23:19Z"), "{said}");
+    let said = stderr(&expect(2, &["play", &whole, "--prefix", "p", "--connect", "foo"]));
+    assert!(said.contains("such as tcp/127.0.0.1:7447"), "{said}");
+}
+
+#[test]
+fn a_recording_of_which_nothing_can_be_read_is_neither_rescued_nor_found_equal() {
+    let folder = Folder::new();
+    let (table, converted) = (folder.write("a.csv", slow_wave(|k| k)), folder.path("converted.mcap"));
+    expect(0, &["convert", &table, &converted]);
+    assert!(stderr(&expect(2, &["replay", &converted, "--verify"])).contains("no results to compare"));
+    let mut bytes = fs::read("recordings/sticking.mcap").unwrap();
+    let cut = folder.write("cut.mcap", &bytes[..20]);
+    // It has one chunk.
+    bytes[10_000] ^= 1;
+    let damaged = folder.write("damaged.mcap", bytes);
+    let said = stdout(&expect(3, &["replay", &damaged, "--verify"]));
+    assert!(said.contains("nothing was compared"), "{said}");
+    let out = folder.path("out.mcap");
+    let said = stderr(&expect(1, &["recover", &cut, "--out", &out]));
+    assert!(
+        said.contains("nothing is written") && !folder.names().iter().any(|name| name.starts_with("out")),
+        "{said}"
+    );
+    let said = stderr(&expect(1, &["analyze", &cut]));
+    assert!(said.contains("no sample in it can be read"), "{said}");
+}
+
+#[test]
+fn an_index_of_which_no_file_can_be_read_fails_and_an_unknown_label_is_said() {
+    let folder = Folder::new();
+    folder.write("a.csv", slow_wave(|k| k));
+    let index = folder.write("index.csv", "file,label\na.csv,sticktion\nb.csv,stiction\n");
+    let said = stderr(&expect(0, &["evaluate", &index]));
+    assert!(said.contains("label \"sticktion\" (1 of 2 recordings) is not scored"), "{said}");
+    let index = folder.write("none.csv", "file,label\nb.csv,stiction\n");
+    assert!(stderr(&expect(1, &["evaluate", &index])).contains("no file of the index can be read"));
+    assert!(stderr(&expect(1, &["evaluate", &folder.path("")])).contains(&folder.path("")));
+}

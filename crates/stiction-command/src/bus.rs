@@ -23,6 +23,17 @@ pub fn prefix(text: &str) -> Result<String, String> {
     }
 }
 
+/// A Zenoh endpoint, as options take it.
+///
+/// # Errors
+/// It is none.
+pub fn endpoint(text: &str) -> Result<String, String> {
+    match text.split_once('/') {
+        Some((protocol, address)) if !protocol.is_empty() && !address.is_empty() => Ok(text.to_owned()),
+        _ => Err("write an endpoint such as tcp/127.0.0.1:7447".to_owned()),
+    }
+}
+
 /// Opens a session connected to an endpoint.
 ///
 /// # Errors

@@ -1,11 +1,11 @@
 //! Values with a comma between them, as options take them.
 
-/// Two words with a comma between them.
+/// Two words with a comma between them, such as `example`.
 ///
 /// # Errors
 /// There is no comma.
-pub fn pair(text: &str) -> Result<(&str, &str), String> {
-    text.split_once(',').ok_or_else(|| format!("{text:?} : write two values with a comma between them, such as 50,500"))
+pub fn pair<'t>(text: &'t str, example: &str) -> Result<(&'t str, &'t str), String> {
+    text.split_once(',').ok_or_else(|| format!("write two values with a comma between them, such as {example}"))
 }
 
 /// Two numbers, lower first.
@@ -13,7 +13,7 @@ pub fn pair(text: &str) -> Result<(&str, &str), String> {
 /// # Errors
 /// They are no numbers, or the first is not the lower.
 pub fn rising(text: &str) -> Result<[f64; 2], String> {
-    let (low, high) = pair(text)?;
+    let (low, high) = pair(text, "0,100")?;
     let number = |s: &str| s.trim().parse::<f64>().map_err(|_| format!("{s:?} is not a number"));
     let range = [number(low)?, number(high)?];
     if range[1] > range[0] { Ok(range) } else { Err("the upper end must be above the lower".to_owned()) }

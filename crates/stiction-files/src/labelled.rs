@@ -30,14 +30,13 @@ pub struct Case {
 }
 
 impl Case {
+    /// Labels that are scored: those of sticking valves, then the others.
+    pub const SCORED: [&str; 5] = ["stiction", "deadband", "no_stiction", "tuning", "disturbance"];
+
     /// The label as sticking or not; `None` if it is not scored.
     #[must_use]
     pub fn truth(&self) -> Option<bool> {
-        match self.label.as_str() {
-            "stiction" | "deadband" => Some(true),
-            "no_stiction" | "tuning" | "disturbance" => Some(false),
-            _ => None,
-        }
+        Self::SCORED.iter().position(|label| *label == self.label).map(|at| at < 2)
     }
 }
 
@@ -67,7 +66,7 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<Case>> {
         .flexible(true)
         .from_path(path)
         .with_context(|| format!("cannot read {}", path.display()))?;
-    let headers = reader.headers()?.clone();
+    let headers = reader.headers().with_context(|| format!("cannot read {}", path.display()))?.clone();
     let optional = |name: &str| headers.iter().position(|h| h.trim() == name);
     let column = |name: &str| {
         optional(name).with_context(|| {

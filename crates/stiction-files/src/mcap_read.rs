@@ -399,7 +399,13 @@ impl RecordingReader {
         let lost = self.contents.stated.map_or(0, |stated| stated.saturating_sub(self.contents.messages));
         let mut reasons = std::mem::take(&mut self.damage);
         if self.damaged_chunks > 0 {
-            reasons.insert(0, format!("skipped {} damaged chunks", self.damaged_chunks));
+            reasons.insert(
+                0,
+                match self.damaged_chunks {
+                    1 => "skipped 1 damaged chunk".to_owned(),
+                    n => format!("skipped {n} damaged chunks"),
+                },
+            );
         }
         if self.contents.orphans > 0 {
             reasons.push(format!("skipped {} messages of unknown channels", self.contents.orphans));

@@ -17,7 +17,7 @@ const LAWS: [&str; 3] = ["he", "tracking", "none"];
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ModelFileError {
     /// Not JSON.
-    #[error("not JSON: {0}")]
+    #[error("not JSON ({0}); a model is a JSON document, such as `stictiond analyze --format json` prints")]
     Json(String),
     /// JSON of another kind.
     #[error(

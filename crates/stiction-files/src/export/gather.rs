@@ -367,7 +367,7 @@ impl Gatherer<'_> {
                     return Err(ExportError::at(*line, what, remedy));
                 }
                 warnings.push(format!(
-                    "{tag}: {unknown} cells are not numbers and count as missing, first {text:?} in line {line}"
+                    "{tag}: {unknown} cells without a number count as missing, first {text:?} in line {line}"
                 ));
             }
         }
