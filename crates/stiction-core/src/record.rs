@@ -125,7 +125,7 @@ pub struct Sample {
 pub struct Facts {
     /// Samples taken while the controller was in manual.
     pub manual: u32,
-    /// Samples filled in for lost ones (OP held, PV interpolated).
+    /// Samples filled in for lost ones.
     pub filled: u32,
     /// Values that were missing or of bad quality.
     pub bad: u32,

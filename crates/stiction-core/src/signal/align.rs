@@ -1,14 +1,15 @@
 //! Joins the signals of one loop by source time into points at the loop's own sampling times.
 //!
 //! Nothing is resampled: a point is at each timestamp of the *driver* (PV, or OP if OP arrives clearly more often), with the
-//! other signals held. Only lost samples are filled in, and only in gaps of at most `max_gap_s`: OP held, PV interpolated
-//! linearly. The loop's clock is the latest timestamp minus the allowed lateness, so late and unordered samples are sorted in,
+//! other signals held. Only lost samples are filled in, and only in gaps of at most `max_gap_s`: PV interpolated linearly, and
+//! so is OP where it is sampled regularly, else held. The loop's clock is the latest timestamp minus the allowed lateness, so late and unordered samples are sorted in,
 //! independently of other loops and the system clock.
 
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
+use super::op_trail::OpTrail;
 use crate::record::{Mode, Sample, Signal, Value};
 use crate::units::{ns_from_s, s_from_ns};
 
@@ -28,8 +29,6 @@ const LEARN_LIMIT: usize = 2048;
 const CLOCK_RESET_AFTER: usize = 256;
 /// Consecutive intervals that contradict the sampling time before it is learned again.
 const RELEARN_AFTER: u8 = 16;
-/// OP values kept between two points, for filled-in points.
-const OP_TRAIL_LIMIT: usize = 64;
 /// Fewest sampling times that one of OP and PV waits for the other, because gateways send them in batches, one after the
 /// other. Twice the longest lead seen is used if longer, up to [`MAX_PATIENCE`], which also applies while one of them has
 /// never arrived.
@@ -151,8 +150,8 @@ pub struct Aligner {
     /// Sampling time and driver, once learned.
     learnt: Option<(f64, Signal)>,
     off_beat: u8,
-    op: Option<(i64, f64)>,
-    op_trail: Vec<(i64, f64)>,
+    #[serde(flatten)]
+    op: OpTrail,
     pv: Option<(i64, f64)>,
     sp: Option<f64>,
     mv: Option<f64>,
@@ -183,8 +182,7 @@ impl Aligner {
             processed_ns: None,
             learnt: None,
             off_beat: 0,
-            op: None,
-            op_trail: Vec::new(),
+            op: OpTrail::new(),
             pv: None,
             sp: None,
             mv: None,
@@ -227,7 +225,7 @@ impl Aligner {
     #[must_use]
     pub fn bytes(&self) -> usize {
         let samples = self.pending.capacity() + self.suspects.capacity() + self.late_run.capacity();
-        samples * size_of::<Sample>() + self.op_trail.capacity() * size_of::<(i64, f64)>()
+        samples * size_of::<Sample>() + self.op.bytes()
     }
 
     /// The loop's clock: the latest timestamp minus the lateness, ns.
@@ -445,7 +443,7 @@ impl Aligner {
     /// Stores one sample's value.
     fn hold(&mut self, sample: &Sample, params: &AlignParams) {
         if sample.quality.is_some_and(|code| !params.quality.is_good(code)) {
-            return self.count_bad(sample.signal);
+            return self.count_bad(sample);
         }
         match (sample.signal, sample.value) {
             (Signal::Mode, Value::Mode(mode)) => self.mode = Some(mode),
@@ -453,33 +451,42 @@ impl Aligner {
                 let mapped = params.modes.iter().find(|(number, _)| *number as f64 == n);
                 self.mode = Some(mapped.map_or(Mode::Unknown, |(_, mode)| *mode));
             }
-            (Signal::Op, Value::Number(v)) => {
-                self.op = Some((sample.t_ns, v));
-                if self.op_trail.len() < OP_TRAIL_LIMIT {
-                    self.op_trail.push((sample.t_ns, v));
-                }
-            }
+            (Signal::Op, Value::Number(v)) => self.op.push(sample.t_ns, v),
             (Signal::Pv, Value::Number(v)) => self.pv = Some((sample.t_ns, v)),
             (Signal::Sp, Value::Number(v)) => self.sp = Some(v),
             (Signal::Mv, Value::Number(v)) => self.mv = Some(v),
-            _ => self.count_bad(sample.signal),
+            _ => self.count_bad(sample),
         }
     }
 
-    fn count_bad(&mut self, signal: Signal) {
+    fn count_bad(&mut self, sample: &Sample) {
         self.counts.bad += 1;
-        if matches!(signal, Signal::Op | Signal::Pv) {
+        if matches!(sample.signal, Signal::Op | Signal::Pv) {
             self.bad_since = self.bad_since.saturating_add(1);
         }
+        if sample.signal == Signal::Op {
+            self.op.note_lost(sample.t_ns);
+        }
+    }
+
+    /// Whether OP comes with every scan: without a setting, signals are taken to be sampled, not sent on change.
+    fn is_sampled(params: &AlignParams) -> bool {
+        params.max_gap_s == 0.0
     }
 
     /// Outputs the point at a timestamp if the driver has a value there and the other signal is recent enough.
     fn point_at(&mut self, t_ns: i64, params: &AlignParams, out: &mut impl FnMut(Aligned)) {
-        let (Some((ts_s, driver)), Some((t_op, op)), Some((t_pv, pv))) = (self.learnt, self.op, self.pv) else {
+        let (Some((ts_s, driver)), Some((t_op, op)), Some((t_pv, pv))) = (self.learnt, self.op.latest(), self.pv)
+        else {
             return;
         };
         let (driver_ns, other_ns) = if driver == Signal::Pv { (t_pv, t_op) } else { (t_op, t_pv) };
         if driver_ns != t_ns || s_from_ns(t_ns - other_ns) > self.max_gap_s(params) {
+            return;
+        }
+        if self.op.is_lost_at(t_ns) && Self::is_sampled(params) {
+            // Filled in once the next OP is known, and counted then.
+            self.bad_since -= u16::from(self.op.is_empty_at(t_ns) && self.bad_since > 0);
             return;
         }
         if let Some((last_ns, last_pv)) = self.last_point {
@@ -492,14 +499,13 @@ impl Aligner {
                 self.counts.gaps += 1;
                 out(Aligned::Break);
             } else {
-                self.fill(last_ns, last_pv, t_ns, pv, ts_s, out);
+                self.fill([(last_ns, last_pv), (t_ns, pv)], ts_s, params, out);
             }
         }
         let bad = std::mem::take(&mut self.bad_since);
         out(Aligned::Point(self.point(t_ns, op, pv, false, bad)));
         self.last_point = Some((t_ns, pv));
-        self.op_trail.clear();
-        self.op_trail.push((t_op, op));
+        self.op.restart();
     }
 
     /// The sampling time has changed: the stretch ends and the new one starts with the last interval.
@@ -513,15 +519,22 @@ impl Aligner {
     }
 
     /// Fills in samples lost between two points.
-    fn fill(&mut self, t0: i64, pv0: f64, t1: i64, pv1: f64, ts_s: f64, out: &mut impl FnMut(Aligned)) {
+    fn fill(
+        &mut self,
+        [(t0, pv0), (t1, pv1)]: [(i64, f64); 2],
+        ts_s: f64,
+        params: &AlignParams,
+        out: &mut impl FnMut(Aligned),
+    ) {
         let steps = (s_from_ns(t1 - t0) / ts_s).round();
+        let (sampled, since_ns) = (Self::is_sampled(params), t0.saturating_sub(ns_from_s(ts_s)));
         // A hole holds a few hundred lost samples at most: longer ones are gaps unless max_gap_s is extreme.
         let lost = (steps.max(1.0) as usize - 1).min(10_000);
         for k in 1..=lost {
             let share = k as f64 / (lost + 1) as f64;
             let t_ns = t0 + ((t1 - t0) as f64 * share) as i64;
-            let op = self.op_trail.iter().rev().find(|(t, _)| *t <= t_ns).or(self.op_trail.first());
-            let Some((_, op)) = op.copied() else { return };
+            let op = if sampled { self.op.interpolated_at(t_ns, since_ns) } else { self.op.held_at(t_ns) };
+            let Some(op) = op else { return };
             self.counts.filled += 1;
             out(Aligned::Point(self.point(t_ns, op, pv0 + share * (pv1 - pv0), true, 0)));
         }

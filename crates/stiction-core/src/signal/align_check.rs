@@ -71,7 +71,33 @@ fn short_holes_are_filled_and_long_ones_end_the_stretch() {
     let (stretches, counts) = align_all(&samples, &params());
     assert_eq!(stretches.iter().map(Vec::len).collect::<Vec<_>>(), [50, 30]);
     assert_eq!((counts.filled, counts.gaps), (2, 1));
-    assert!(stretches[0][20].filled && stretches[0][20].pv == -20.0 && stretches[0][20].op == 19.0);
+    assert!(stretches[0][20].filled && stretches[0][20].pv == -20.0 && stretches[0][20].op == 20.0);
+    let on_change = AlignParams { max_gap_s: 5.0, ..params() };
+    assert_eq!(align_all(&samples, &on_change).0[0][20].op, 19.0);
+}
+
+#[test]
+fn a_lost_op_lies_between_its_neighbours_unless_op_is_sent_on_change() {
+    let mut samples = scan(60);
+    samples[50].value = Value::Missing;
+    let (stretches, counts) = align_all(&samples, &params());
+    assert_eq!((stretches.len(), stretches[0].len(), counts.filled, counts.bad), (1, 60, 1, 1));
+    assert!(stretches[0].iter().all(|p| p.op == -p.pv && p.bad == 0));
+    samples.remove(50);
+    let (absent, counts) = align_all(&samples, &params());
+    assert_eq!((absent == stretches, counts.filled, counts.bad), (true, 1, 0));
+    samples.insert(50, Sample { value: Value::Missing, ..sample(Signal::Op, 25.0, 0.0) });
+    let on_change = AlignParams { max_gap_s: 5.0, ..params() };
+    let (held, counts) = align_all(&samples, &on_change);
+    assert_eq!((held[0][25].op, held[0][25].bad, counts.filled), (24.0, 1, 0));
+
+    // OP that comes seldom is held beside a PV that is lost, whatever the setting.
+    let stairs = |t: usize| t.is_multiple_of(4).then(|| sample(Signal::Op, t as f64, t as f64));
+    let seldom: Vec<Sample> = (0..60)
+        .flat_map(|t| stairs(t).into_iter().chain((t != 27).then(|| sample(Signal::Pv, t as f64, 1.0))))
+        .collect();
+    let (stretches, counts) = align_all(&seldom, &params());
+    assert_eq!((stretches[0][27].filled, stretches[0][27].op, counts.filled), (true, 24.0, 1));
 }
 
 #[test]

@@ -6,6 +6,7 @@ mod align_check;
 pub mod detrend;
 pub mod history;
 pub mod lag;
+mod op_trail;
 pub mod resample;
 pub mod spectrum;
 pub mod stats;
