@@ -120,10 +120,10 @@ fn cut_and_damaged_columns_give_what_is_whole_and_recover_keeps_them_columns() {
         let mut left = whole.iter();
         assert!(seen.iter().all(|m| left.any(|w| w == m)), "byte {at}: what is read stood there, in that order");
     }
-    fs::write(&hurt, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    fs::write(&hurt, &bytes[..bytes.len() - 60]).unwrap();
     let out = dir.path().join("out.mcap");
     expect(3, &["recover", hurt.to_str().unwrap(), "--out", out.to_str().unwrap()]);
-    assert!(messages(&out).0 == messages(&hurt).0);
+    assert!(!messages(&out).0.is_empty() && messages(&out).0 == messages(&hurt).0);
     assert_eq!(RecordingReader::open(&out).unwrap().metadata()["raw"], "columns");
 }
 
