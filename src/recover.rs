@@ -11,8 +11,8 @@ use stiction_files::rescue;
 
 /// Rescue the readable part of a truncated or damaged recording, or of a folder of recordings.
 ///
-/// Exit 0: the recording was complete and was copied. Exit 3: the readable part was written. Exit 1: not a recording, or
-/// nothing in it can be read; nothing is written.
+/// Exit 0: the recording was complete and was copied. Exit 3: the readable part was written. Exit 1: not a recording;
+/// nothing is written.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond recover plant.mcap.part --out plant.mcap

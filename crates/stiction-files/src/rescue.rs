@@ -30,14 +30,6 @@ pub enum RescueError {
         /// Error of the system.
         cause: std::io::Error,
     },
-    /// Nothing of a damaged recording can be read.
-    #[error("{}: no message in it can be read, so nothing is written: the recording is {}", path.display(), end.word())]
-    Nothing {
-        /// The recording.
-        path: PathBuf,
-        /// How it ends.
-        end: End,
-    },
 }
 
 /// A finished copy.
@@ -92,16 +84,16 @@ fn copy(path: &Path, out: &Path, without_samples: Option<&str>) -> Result<Rescue
     if part.exists() {
         fs::remove_file(&part).map_err(|cause| RescueError::Io { path: part.clone(), cause })?;
     }
-    let written = write(path, &mut reader, &part, out, &metadata, without_samples.is_some());
+    let written = write(&mut reader, &part, out, &metadata, without_samples.is_some());
     if written.is_err() {
         // Half a copy helps nobody.
         let _ = fs::remove_file(&part);
     }
-    Ok(Rescued { messages: written?, end: reader.end().cloned().unwrap_or(End::Clean) })
+    let messages = written?;
+    Ok(Rescued { messages, end: reader.end().cloned().unwrap_or(End::Clean) })
 }
 
 fn write(
-    path: &Path,
     reader: &mut RecordingReader,
     part: &Path,
     out: &Path,
@@ -125,9 +117,6 @@ fn write(
         let (topic, kind, encoding) = (m.topic(), m.channel.kind, m.channel.encoding.as_str());
         file.copy(topic, kind, encoding, m.log_time_ns, m.publish_time_ns, m.data)?;
         messages += 1;
-    }
-    if let (0, Some(end)) = (messages, reader.end().filter(|end| !end.is_clean() && !results_only)) {
-        return Err(RescueError::Nothing { path: path.to_owned(), end: end.clone() });
     }
     file.finish()?;
     Ok(messages)
