@@ -1,9 +1,9 @@
 //! Joins the signals of one loop by source time into points at the loop's own sampling times.
 //!
 //! Nothing is resampled: a point is at each timestamp of the *driver* (PV, or OP if OP arrives clearly more often), with the
-//! other signals held. Only lost samples are filled in, and only in gaps of at most `max_gap_s`: PV interpolated linearly, and
-//! so is OP where it is sampled regularly, else held. The loop's clock is the latest timestamp minus the allowed lateness, so late and unordered samples are sorted in,
-//! independently of other loops and the system clock.
+//! other signals held. Only lost samples are filled in, and only in gaps of at most `max_gap_s`: PV is interpolated linearly,
+//! and so is OP where it is sampled; elsewhere OP is held. The loop's clock is the latest timestamp minus the allowed lateness,
+//! so late and unordered samples are sorted in, independently of other loops and the system clock.
 
 use std::collections::VecDeque;
 
@@ -469,7 +469,7 @@ impl Aligner {
         }
     }
 
-    /// Whether OP comes with every scan: without a setting, signals are taken to be sampled, not sent on change.
+    /// Whether signals are sampled, not sent on change: true unless `max_gap_s` is set.
     fn is_sampled(params: &AlignParams) -> bool {
         params.max_gap_s == 0.0
     }
@@ -484,7 +484,7 @@ impl Aligner {
         if driver_ns != t_ns || s_from_ns(t_ns - other_ns) > self.max_gap_s(params) {
             return;
         }
-        if self.op.is_lost_at(t_ns) && Self::is_sampled(params) {
+        if self.op.check_point(t_ns) && Self::is_sampled(params) {
             // Filled in once the next OP is known, and counted then.
             self.bad_since -= u16::from(self.op.is_empty_at(t_ns) && self.bad_since > 0);
             return;

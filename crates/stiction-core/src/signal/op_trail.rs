@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 /// Values kept between two points.
 const LIMIT: usize = 64;
-/// How regular OP is, in points with a new OP: one without costs [`ABSENT`] of them, and from [`REGULAR`] on OP that is absent
-/// was lost. So OP that is sent on change is not taken for regular unless it changes at four of five points.
+/// The score of regularity: a point with a new OP adds one, a point without takes [`ABSENT`] away. At [`REGULAR`] or more, an
+/// absent OP was lost. OP that is sent on change gets there only if it changes at more than four of five points.
 const MOST_REGULAR: u8 = 32;
 const REGULAR: u8 = 12;
 const ABSENT: u8 = 4;
@@ -20,6 +20,7 @@ pub(super) struct OpTrail {
     /// Latest timestamp at which OP came without a value.
     #[serde(default)]
     op_lost_ns: Option<i64>,
+    /// The score of regularity, at most [`MOST_REGULAR`].
     #[serde(default)]
     op_regular: u8,
 }
@@ -49,8 +50,8 @@ impl OpTrail {
         self.op_lost_ns == Some(t_ns)
     }
 
-    /// Whether OP of the point at this timestamp was lost: it came without a value, or not although it is regular.
-    pub fn is_lost_at(&mut self, t_ns: i64) -> bool {
+    /// Notes a point; true if its OP was lost: OP came without a value, or a regular OP did not come.
+    pub fn check_point(&mut self, t_ns: i64) -> bool {
         let is_new = |(t_op, _): (i64, f64)| self.op_trail.first().is_none_or(|(before_ns, _)| t_op > *before_ns);
         if self.op.is_some_and(is_new) {
             self.op_regular = (self.op_regular + 1).min(MOST_REGULAR);

@@ -2,7 +2,7 @@
 //!
 //! An empty cell of OP or PV is a missing sample. In the other columns it is no sample (set points and modes are often
 //! written when they change), and so it is where OP and PV stand in rows of their own, as when both carry their own
-//! stamps. A table that stands newest first, or in disorder, is put in order of time. What was done is said in a line each.
+//! stamps. A table whose rows are newest first, or shuffled, is sorted by time. Each change gives a line.
 
 use stiction_core::record::{Sample, Signal, Value};
 
@@ -11,7 +11,7 @@ const NEWEST_FIRST: u64 = 3;
 /// Steps back from which a table is in disorder, if they are one in twenty: recordings have a few late rows, which stay where
 /// they came.
 const DISORDER: u64 = 10;
-/// Samples of the shortest of several blocks that are each in order.
+/// Fewest samples of a sorted block.
 const BLOCK: usize = 20;
 
 /// Rows as they come.
@@ -101,7 +101,7 @@ impl Rows {
         self.out
     }
 
-    /// Puts a table that stands newest first, or in disorder, in order of time; rows of one time keep their order.
+    /// Sorts a table by time if its rows are newest first or shuffled; rows of one time stay as they came.
     fn order(&mut self) {
         let out = &mut self.out;
         let newest_first = self.backward >= NEWEST_FIRST && self.backward > self.forward;
@@ -127,8 +127,8 @@ impl Rows {
     }
 }
 
-/// Whether samples come in blocks that are each in order and share no time with each other, as days that were joined in another
-/// order. A clock that was set back gives blocks, too, and they overlap.
+/// Whether samples come in sorted blocks that do not overlap, such as days that were joined the wrong way round. A clock that was
+/// set back also gives sorted blocks, but they overlap.
 fn swapped_blocks(samples: &[Sample]) -> bool {
     let mut blocks: Vec<&[Sample]> = samples.chunk_by(|a, b| a.t_ns <= b.t_ns).collect();
     if blocks.len() < 2 || blocks.iter().any(|block| block.len() < BLOCK) {
