@@ -85,9 +85,6 @@ if [ -n "$all" ]; then
     noted bash tests/package/run.sh || failed=1
 fi
 
-step "promises of docs/robustness.md"
-python3 tests/promises.py "$log"
-
 skipped=$(grep -c '^\(!! \)\?SKIPPED: ' "$log" || true)
 if [ "$skipped" -gt 0 ]; then
     printf '\n== %d SKIPPED, not passed:\n' "$skipped"

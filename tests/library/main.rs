@@ -6,7 +6,6 @@
 
 mod alarm_model;
 mod answers;
-mod circles;
 mod config;
 mod engine;
 mod engine_gaps;
@@ -16,12 +15,10 @@ mod formats;
 mod fuzz;
 #[path = "../common/isa.rs"]
 mod isa;
-mod language;
 mod maintenance;
 mod obstacles;
 mod openapi;
 mod pages;
-mod promises;
 mod public_items;
 mod simulation;
 mod tidy;

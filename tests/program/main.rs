@@ -22,7 +22,6 @@ mod expectations;
 mod exports;
 mod failover;
 mod golden;
-mod language;
 mod other_programs;
 mod pages;
 mod recordings;
