@@ -25,7 +25,7 @@ MOST_LOOPS = 60
 MOST_EFFECTS = 10
 SHORT: dict[Verdict, str] = {
     "stiction": "sticks", "deadband": "dead band", "disturbance": "disturbed", "tuning": "tuning",
-    "no_stiction": "oscillates", "no_oscillation": "steady", "inconclusive": "no answer",
+    "cause_unknown": "oscillates", "not_oscillating": "steady", "inconclusive": "no answer",
 }  # fmt: skip
 """Verdicts as the page's tables have them."""
 SAME_ERROR = 0.1

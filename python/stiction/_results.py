@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Interval: TypeAlias = tuple[float, float]
 Verdict: TypeAlias = Literal[
-    "stiction", "deadband", "disturbance", "tuning", "no_oscillation", "no_stiction", "inconclusive"
+    "stiction", "deadband", "disturbance", "tuning", "not_oscillating", "cause_unknown", "inconclusive"
 ]
 
 
@@ -76,7 +76,7 @@ class Assessment:
     window: tuple[np.datetime64, np.datetime64]
     """Start and end of the assessed record, UTC."""
     verdict: Verdict
-    """`stiction`, `deadband`, `disturbance`, `tuning`, `no_oscillation`, `no_stiction` or `inconclusive`."""
+    """`stiction`, `deadband`, `disturbance`, `tuning`, `not_oscillating`, `cause_unknown` or `inconclusive`."""
     stiction: bool | None
     """True for `stiction` and `deadband`, None for `inconclusive`."""
     p_stiction: float | None

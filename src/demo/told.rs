@@ -117,7 +117,7 @@ fn agrees(spec: &LoopSpec, found: Option<&str>) -> &'static str {
     let healthy = matches!(spec.label, Some(Label::NoStiction | Label::Tuning | Label::Disturbance));
     match (spec.label, found) {
         (Some(label), found) if label.name() == found => "yes",
-        (Some(Label::NoStiction), "no_oscillation") => "yes: no oscillation, so no sign of sticking",
+        (Some(Label::NoStiction), "not_oscillating") => "yes: no oscillation, so no sign of sticking",
         (_, "inconclusive") => "no answer: not enough evidence in this window",
         _ if healthy && found != "stiction" && found != "deadband" => "about the valve, yes; about the cause, no",
         _ => "NO",

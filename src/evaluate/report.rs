@@ -213,8 +213,8 @@ fn confusion_lines(judged: &[Judged]) -> Vec<String> {
         Verdict::Deadband,
         Verdict::Disturbance,
         Verdict::Tuning,
-        Verdict::NoStiction,
-        Verdict::NoOscillation,
+        Verdict::CauseUnknown,
+        Verdict::NotOscillating,
         Verdict::Inconclusive,
     ];
     let names: Vec<&str> = VERDICTS.iter().map(|v| v.name()).chain(["error"]).collect();

@@ -15,8 +15,8 @@ const VERDICTS: [Verdict; 7] = [
     Verdict::Deadband,
     Verdict::Tuning,
     Verdict::Disturbance,
-    Verdict::NoStiction,
-    Verdict::NoOscillation,
+    Verdict::CauseUnknown,
+    Verdict::NotOscillating,
     Verdict::Inconclusive,
 ];
 /// Loss counters.

@@ -101,7 +101,7 @@ ALARM = {
     "since": (str, None), "changed_ns": int, "changed": str, "by": (str, None), "detail": str,
     "acknowledged": (dict, None), "shelved": (dict, None), "suppressed": (dict, None), "out_of_service": (dict, None),
 }
-VERDICTS = {"stiction", "deadband", "disturbance", "tuning", "no_oscillation", "no_stiction", "inconclusive"}
+VERDICTS = {"stiction", "deadband", "disturbance", "tuning", "not_oscillating", "cause_unknown", "inconclusive"}
 
 
 def check_fields(document, fields, where):

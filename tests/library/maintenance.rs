@@ -95,7 +95,7 @@ fn an_alarm_whose_newest_window_finds_nothing_stays_in_the_list_and_no_valve_is_
     let alarm =
         AlarmDocument { active: true, what_to_do: Some("Do a test.".to_owned()), ..Alarm::default().restored("L") };
     let mut unseen = with(candidate("L", None), |a| {
-        (a.verdict, a.stiction, a.p_stiction) = (Verdict::NoStiction, Some(false), Some(0.1));
+        (a.verdict, a.stiction, a.p_stiction) = (Verdict::CauseUnknown, Some(false), Some(0.1));
     });
     assert!(simulable(&unseen).is_none());
     unseen.alarm = Some(Arc::new(alarm));

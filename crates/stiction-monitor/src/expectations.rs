@@ -288,7 +288,7 @@ reason = "too_coarse"
         for (from, to, line, key, part) in [
             ("s = [7.5", "s = [9.5", 8, "case[0].s", "is empty"),
             ("[7.5, 8.5]", "8.0", 8, "case[0].s", "lowest"),
-            ("verdict = \"stiction\"", "verdict = \"sticking\"", 7, "case[0].verdict", "no_oscillation"),
+            ("verdict = \"stiction\"", "verdict = \"sticking\"", 7, "case[0].verdict", "not_oscillating"),
             ("too_coarse", "coarse", 15, "case[1].reason", "too_coarse"),
             ("alarm = true", "alarm = \"yes\"", 10, "case[0].alarm", "true or false"),
             ("alarm = true", "alarms = true", 10, "case[0].alarms", "did you mean alarm?"),

@@ -478,7 +478,7 @@ impl Entry {
         match shown {
             Verdict::Stiction | Verdict::Deadband => (Some("S"), format!("{headline}; no alarm yet")),
             Verdict::Tuning | Verdict::Disturbance => (Some("S"), headline),
-            Verdict::NoStiction | Verdict::NoOscillation => (Some("ok"), headline),
+            Verdict::CauseUnknown | Verdict::NotOscillating => (Some("ok"), headline),
             Verdict::Inconclusive => (None, a.reason.map_or(headline, words::reason)),
         }
     }

@@ -63,9 +63,9 @@ pub(crate) fn cause(
     damping: Option<f64>,
 ) -> (Verdict, Vec<Verdict>) {
     if !oscillation.is_some_and(|o| o.oscillating) {
-        return (Verdict::NoOscillation, Vec::new());
+        return (Verdict::NotOscillating, Vec::new());
     }
-    let verdict = ringing.map_or(Verdict::NoStiction, |r| by_ringing(r, damping.is_some_and(|d| d > CALM)));
+    let verdict = ringing.map_or(Verdict::CauseUnknown, |r| by_ringing(r, damping.is_some_and(|d| d > CALM)));
     let beside = match verdict {
         Verdict::Tuning => second_line(ringing),
         _ => None,
@@ -83,7 +83,7 @@ fn by_ringing(r: &Ringing, calm: bool) -> Verdict {
         false if height >= STANDS_OUT => Verdict::Tuning,
         // Over few periods lines take up what is random, too.
         false if lines > HALF && r.long_enough => Verdict::Disturbance,
-        false => Verdict::NoStiction,
+        false => Verdict::CauseUnknown,
     }
 }
 
@@ -222,7 +222,7 @@ mod tests {
         assert_eq!(of(0.6, 0.3, 2.0), (Verdict::Disturbance, vec![]));
         assert_eq!(of(0.9, 0.0, 30.0), (Verdict::Tuning, vec![]));
         assert_eq!(of(0.4, 0.15, 30.0), (Verdict::Tuning, vec![Verdict::Disturbance]));
-        assert_eq!(of(0.3, 0.0, 1.0), (Verdict::NoStiction, vec![]));
+        assert_eq!(of(0.3, 0.0, 1.0), (Verdict::CauseUnknown, vec![]));
         let mode = Some(Mode { damping: 0.05, period_points: 50.0, height: 30.0 });
         let cycle =
             Ringing { period_points: 50.0, forced: 0.6, second: None, unsteadiness: 0.05, long_enough: true, mode };
@@ -230,9 +230,9 @@ mod tests {
         let rung = Ringing { unsteadiness: 0.4, ..cycle };
         assert_eq!(cause(Some(&WAVE), Some(&rung), None).0, Verdict::Tuning);
         assert_eq!(cause(Some(&WAVE), Some(&rung), Some(0.4)).0, Verdict::Disturbance);
-        assert_eq!(cause(Some(&WAVE), None, None).0, Verdict::NoStiction);
-        assert_eq!(cause(Some(&Oscillates { oscillating: false, ..WAVE }), None, None).0, Verdict::NoOscillation);
-        assert_eq!(cause(None, None, None).0, Verdict::NoOscillation);
+        assert_eq!(cause(Some(&WAVE), None, None).0, Verdict::CauseUnknown);
+        assert_eq!(cause(Some(&Oscillates { oscillating: false, ..WAVE }), None, None).0, Verdict::NotOscillating);
+        assert_eq!(cause(None, None, None).0, Verdict::NotOscillating);
     }
 
     /// PI with the time constant as integral time, so that the loop is `gain exp(-d s) / (T s)`.

@@ -26,10 +26,12 @@ pub enum Verdict {
     Disturbance,
     /// The controller makes the loop oscillate.
     Tuning,
-    /// The loop does not oscillate, and no stiction was found.
-    NoOscillation,
-    /// The loop oscillates; no stiction was found.
-    NoStiction,
+    /// The loop does not oscillate, and no sign of stiction was found.
+    #[serde(alias = "no_oscillation")]
+    NotOscillating,
+    /// The loop oscillates, and no cause was found.
+    #[serde(alias = "no_stiction")]
+    CauseUnknown,
     /// The window is inconclusive; the validity checks give the reason.
     Inconclusive,
 }
@@ -41,8 +43,8 @@ impl Verdict {
         Self::Deadband,
         Self::Disturbance,
         Self::Tuning,
-        Self::NoOscillation,
-        Self::NoStiction,
+        Self::NotOscillating,
+        Self::CauseUnknown,
         Self::Inconclusive,
     ];
 
@@ -54,8 +56,8 @@ impl Verdict {
             Self::Deadband => "deadband",
             Self::Disturbance => "disturbance",
             Self::Tuning => "tuning",
-            Self::NoOscillation => "no_oscillation",
-            Self::NoStiction => "no_stiction",
+            Self::NotOscillating => "not_oscillating",
+            Self::CauseUnknown => "cause_unknown",
             Self::Inconclusive => "inconclusive",
         }
     }

@@ -1,7 +1,7 @@
 //! Screening: a calm loop gets its verdict without a fit.
 //!
 //! Most windows of most plants are of loops that do not oscillate and have a constant set point. If PV also does not move in
-//! jumps and no simulated stem predicts PV better than OP, a full assessment would end at `no_oscillation` for about a hundred
+//! jumps and no simulated stem predicts PV better than OP, a full assessment would end at `not_oscillating` for about a hundred
 //! times the work. Such a window gets that verdict at once. Values not computed are null, `reason` is `screened`, and the
 //! probability is the classifier's average for such loops.
 
@@ -76,7 +76,7 @@ fn may_oscillate(of: Option<Oscillates>) -> bool {
 
 /// The assessment of a screened window, of which `whole` holds oscillation and checks.
 pub(crate) fn answer(whole: Assessment) -> Assessment {
-    let verdict = Verdict::NoOscillation;
+    let verdict = Verdict::NotOscillating;
     let confidence = Some(P_CALM.max(1.0 - P_CALM));
     Assessment {
         verdict,

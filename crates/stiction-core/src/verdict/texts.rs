@@ -44,14 +44,14 @@ const TUNING: Text = Text {
     sentence: "the loop oscillates, most likely because of its tuning",
     action: "review the controller's gain and integral time",
 };
-const NO_STICTION: Text = Text {
-    id: "no_stiction",
+const CAUSE_UNKNOWN: Text = Text {
+    id: "cause_unknown",
     short: "oscillates",
     sentence: "the loop oscillates; the cause was not identified",
     action: "look for the cause of the oscillation: tuning, load, interaction with other loops",
 };
-const NO_OSCILLATION: Text = Text {
-    id: "no_oscillation",
+const NOT_OSCILLATING: Text = Text {
+    id: "not_oscillating",
     short: "steady",
     sentence: "no regular oscillation",
     action: "no action follows from this record; keep the valve in its regular checks",
@@ -64,7 +64,7 @@ const INCONCLUSIVE: Text = Text {
 };
 
 /// Every verdict's texts, in the order of tables.
-pub const ALL: [Text; 7] = [STICTION, DEADBAND, DISTURBANCE, TUNING, NO_STICTION, NO_OSCILLATION, INCONCLUSIVE];
+pub const ALL: [Text; 7] = [STICTION, DEADBAND, DISTURBANCE, TUNING, CAUSE_UNKNOWN, NOT_OSCILLATING, INCONCLUSIVE];
 
 /// The texts of a verdict.
 #[must_use]
@@ -74,8 +74,8 @@ pub const fn of(v: Verdict) -> Text {
         Verdict::Deadband => DEADBAND,
         Verdict::Disturbance => DISTURBANCE,
         Verdict::Tuning => TUNING,
-        Verdict::NoStiction => NO_STICTION,
-        Verdict::NoOscillation => NO_OSCILLATION,
+        Verdict::CauseUnknown => CAUSE_UNKNOWN,
+        Verdict::NotOscillating => NOT_OSCILLATING,
         Verdict::Inconclusive => INCONCLUSIVE,
     }
 }
@@ -104,13 +104,20 @@ mod tests {
             Verdict::Deadband,
             Verdict::Disturbance,
             Verdict::Tuning,
-            Verdict::NoStiction,
-            Verdict::NoOscillation,
+            Verdict::CauseUnknown,
+            Verdict::NotOscillating,
             Verdict::Inconclusive,
         ];
         for (v, text) in verdicts.into_iter().zip(ALL) {
             assert_eq!((of(v), text.id), (text, v.name()));
         }
+    }
+
+    #[test]
+    fn the_names_of_old_recordings_are_read_with_the_meaning_of_today() {
+        let of = |name: &str| serde_json::from_str::<Verdict>(&format!("\"{name}\"")).unwrap();
+        assert_eq!((of("no_stiction"), of("no_oscillation")), (Verdict::CauseUnknown, Verdict::NotOscillating));
+        Verdict::ALL.into_iter().for_each(|v| assert_eq!(of(v.name()), v));
     }
 
     #[test]

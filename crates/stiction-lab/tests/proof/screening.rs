@@ -1,4 +1,4 @@
-//! Screening never changes a verdict: what the gate for calm loops lets go, the whole assessment calls `no_oscillation`.
+//! Screening never changes a verdict: what the gate for calm loops lets go, the whole assessment calls `not_oscillating`.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::labelled;
@@ -22,7 +22,7 @@ fn both(name: &str, record: &Record) -> Option<[Assessment; 2]> {
         return None;
     }
     let [short, whole] = [true, false].map(|screening| assess(record, &params(screening)));
-    assert_eq!((short.verdict, short.stiction), (Verdict::NoOscillation, Some(false)), "{name}");
+    assert_eq!((short.verdict, short.stiction), (Verdict::NotOscillating, Some(false)), "{name}");
     assert_eq!(short.verdict, whole.verdict, "{name}: p {:?} without screening", whole.p_stiction);
     assert_eq!(
         (short.window, short.oscillation, &short.gates),

@@ -81,7 +81,7 @@ fn words(make: impl Fn(u64) -> Record, want: Verdict) -> (usize, usize) {
         *counts.entry(found.verdict.name()).or_default() += 1;
     }
     let of = |name: &str| counts.get(name).copied().unwrap_or(0);
-    let judged = 24 - of("no_oscillation") - of("stiction") - of("deadband") - of("inconclusive");
+    let judged = 24 - of("not_oscillating") - of("stiction") - of("deadband") - of("inconclusive");
     println!("{}: {counts:?}", want.name());
     (of(want.name()), judged)
 }

@@ -160,7 +160,7 @@ fn what_is_not_stiction_is_not_called_so() {
     let mut draw = Draw::new(5);
     let mut noise = |n: usize| (0..n).map(|_| draw.normal()).collect::<Vec<f64>>();
     let (a, b) = (noise(1000), noise(1000));
-    assert_eq!(assess(&Record::uniform(1.0, a, b), &params()).verdict, Verdict::NoOscillation);
+    assert_eq!(assess(&Record::uniform(1.0, a, b), &params()).verdict, Verdict::NotOscillating);
     let level = |k: usize| [40.0, 45.0, 42.0, 47.0][k / 250];
     let steps: Vec<f64> = (0..1000).map(level).collect();
     let mut x = 40.0;

@@ -139,7 +139,7 @@ fn limit_of(a: &Assessment) -> Option<Limit> {
         Some(name @ "op_held") => (ObstacleKind::Compressed, name),
         // Where nothing oscillates, the period is that of the noise.
         None | Some("too_coarse" | "implausible_model" | "not_fitted")
-            if met(Gate::TooCoarse) && a.verdict != Verdict::NoOscillation =>
+            if met(Gate::TooCoarse) && a.verdict != Verdict::NotOscillating =>
         {
             (ObstacleKind::TooSlow, Gate::TooCoarse.name())
         }

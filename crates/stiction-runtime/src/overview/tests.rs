@@ -82,7 +82,7 @@ fn readers_are_given_the_loops_that_have_left_or_all_rows() {
 fn a_loop_falls_silent_by_its_own_sampling_and_speaks_again() {
     let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let a: Arc<str> = "A".into();
-    overview.estimate(&a, &place, now, estimate("A", 1, None, Verdict::NoOscillation));
+    overview.estimate(&a, &place, now, estimate("A", 1, None, Verdict::NotOscillating));
     overview.figures(&a, &place, now, &figures(1));
     let at = |s: u64| now + Duration::from_secs(s);
     overview.figures(&a, &place, at(59), &figures(1));
@@ -108,12 +108,12 @@ fn the_cause_that_a_loop_shows_is_that_of_most_of_its_last_windows() {
     }
     // One window of another cause, or without an oscillation, does not change what is shown.
     let shown = "the loop oscillates, most likely because of its tuning (6 of the last 7 windows)";
-    assert_eq!(status(6, Verdict::NoStiction), (Some("S"), shown.to_owned()));
+    assert_eq!(status(6, Verdict::CauseUnknown), (Some("S"), shown.to_owned()));
     assert_eq!(status(7, Verdict::Stiction).1, "the valve sticks and slips; no alarm yet");
     for k in 8..12 {
-        status(k, Verdict::NoOscillation);
+        status(k, Verdict::NotOscillating);
     }
-    let (ne107, status) = status(12, Verdict::NoOscillation);
+    let (ne107, status) = status(12, Verdict::NotOscillating);
     assert!(ne107 == Some("ok") && status.contains("no sign of stiction found"), "{status}");
 }
 
@@ -183,7 +183,7 @@ fn an_obstacle_lasts_from_the_first_of_the_newest_windows_that_have_it() {
     let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let name: Arc<str> = "A".into();
     let window = |start_ns: i64, reason: Option<&'static str>| {
-        let verdict = if reason.is_some() { Verdict::Inconclusive } else { Verdict::NoStiction };
+        let verdict = if reason.is_some() { Verdict::Inconclusive } else { Verdict::CauseUnknown };
         let mut document = EstimateDocument::clone(&estimate("A", start_ns, None, verdict));
         (document.assessment.reason, document.assessment.window.start_ns) = (reason, start_ns);
         overview.estimate(&name, &place, now, Arc::new(document));
@@ -225,7 +225,7 @@ fn a_configured_loop_that_sends_nothing_is_silent_and_each_loop_needs_its_own_sa
         let remedy = &found.obstacles.iter().find(|o| o.loop_name == name).unwrap().remedy;
         assert!(remedy.contains(needed), "{remedy}");
     }
-    let mut document = EstimateDocument::clone(&estimate("D", 1, None, Verdict::NoOscillation));
+    let mut document = EstimateDocument::clone(&estimate("D", 1, None, Verdict::NotOscillating));
     document.assessment.gates = vec![Gate::TooCoarse];
     overview.estimate(&"D".into(), &place, later, Arc::new(document));
     let found = overview.obstacles(later);

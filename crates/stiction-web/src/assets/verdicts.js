@@ -5,7 +5,7 @@ export const VERDICTS = {
   deadband: { short: "dead band", words: "the valve has a dead band" },
   disturbance: { short: "disturbed", words: "the loop oscillates, most likely because of an external disturbance" },
   tuning: { short: "tuning", words: "the loop oscillates, most likely because of its tuning" },
-  no_stiction: { short: "oscillates", words: "the loop oscillates; the cause was not identified" },
-  no_oscillation: { short: "steady", words: "no regular oscillation" },
+  cause_unknown: { short: "oscillates", words: "the loop oscillates; the cause was not identified" },
+  not_oscillating: { short: "steady", words: "no regular oscillation" },
   inconclusive: { short: "no answer", words: "not enough evidence for a verdict" },
 };

@@ -8,7 +8,7 @@ const NAMES = { fopdt: "First order", sopdt: "Second order", auto: "Order chosen
 /** Lines that are not folded. */
 const MOST_LINES = 3;
 
-const KINDS = { stiction: "bad", deadband: "bad", disturbance: "other", tuning: "other", no_oscillation: "good", no_stiction: "good" };
+const KINDS = { stiction: "bad", deadband: "bad", disturbance: "other", tuning: "other", not_oscillating: "other", cause_unknown: "other" };
 
 /** A verdict as a badge with its word; never colour alone. */
 export function badge(h, verdict) {
