@@ -55,7 +55,6 @@ pub mod selection;
 pub mod simulate;
 pub mod solving;
 pub mod test;
-pub mod top;
 pub mod workbench;
 
 use std::process::ExitCode;
@@ -92,7 +91,6 @@ struct Cli {
 enum CommandArgs {
     Run(run::Args),
     Demo(demo::Args),
-    Top(top::Args),
     Play(play::Args),
     Replay(replay::Args),
     Analyze(analyze::Args),
@@ -134,7 +132,6 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
     match cli.command {
         CommandArgs::Run(args) => run::run(&args),
         CommandArgs::Demo(args) => demo::run(&args, format),
-        CommandArgs::Top(args) => top::run(&args, format),
         CommandArgs::Play(args) => play::run(&args, format),
         CommandArgs::Replay(args) => replay::run(&args, format),
         CommandArgs::Analyze(args) => analyze::run(&args, format),
@@ -160,12 +157,10 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
 }
 
 impl Cli {
-    /// The default log filter, used without `RUST_LOG`. The demo and `top` print alarms and lost links themselves.
+    /// The default log filter, used without `RUST_LOG`. The demo prints alarms itself.
     const fn default_filter(&self) -> &'static str {
         match (&self.command, self.output.format) {
             (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stiction_monitor::alarm=off",
-            // It says in its own lines when the link is lost.
-            (CommandArgs::Top(_), _) => "warn,zenoh=off",
             // The daemon itself says which listener or router is missing, without paths of sources.
             _ => "info,zenoh=warn,zenoh::net::runtime::orchestrator=error",
         }

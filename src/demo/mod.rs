@@ -11,8 +11,7 @@ use anyhow::{anyhow, bail};
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
-use super::top::board::LoopTable;
-use super::{Format, Outcome, asked_to_stop, block_on, browser, list, play, top};
+use super::{Format, Outcome, asked_to_stop, block_on, browser, list, play};
 use stiction_core::sim::plant::SimulatedPlant;
 use stiction_core::sim::scenario::Scenario;
 use stiction_core::units::NS_PER_S;
@@ -31,13 +30,10 @@ const SPEED: f64 = 100.0;
 
 /// Run a demonstration: a simulated plant with a sticking, a healthy, a badly tuned and a disturbed loop, watched live.
 ///
-/// Needs no set-up. Records below recordings/demo and runs until Ctrl-C. A terminal shows a live table (press ? for its
-/// keys), other outputs one line per result; a desktop opens the page in the browser.
+/// Needs no set-up. Records below recordings/demo and runs until Ctrl-C. Prints one line per result; a desktop opens
+/// the page in the browser.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Print lines of text instead of the live table.
-    #[arg(long)]
-    pub plain: bool,
     /// Do not open a browser.
     #[arg(long)]
     pub no_open: bool,
@@ -82,8 +78,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Ok(config) => config,
         Err(faults) => bail!("the built-in configuration has faults:\n  {}", list(&faults)),
     };
-    let shown = if !args.plain && top::is_possible(format) { Shown::Table } else { Shown::Lines(format) };
-    if shown == Shown::Lines(Format::Text) {
+    if format == Format::Text {
         told::beginning(&scenario, &config, port, SPEED)?;
     }
     // Whoever reads the output by a program wants no window.
@@ -98,7 +93,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             RunOptions::of("demo", stiction_web::serve),
             async { drop(stopped.await) },
         ));
-        let watched = watch(&scenario, &config, port, args.for_s, shown).await;
+        let watched = watch(&scenario, &config, port, args.for_s, format).await;
         drop(stop);
         daemon.await??;
         watched
@@ -109,22 +104,13 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// How results are shown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Shown {
-    /// As a table in the terminal.
-    Table,
-    /// As one line each.
-    Lines(Format),
-}
-
 /// Publishes the plant and shows the daemon's results until time is up or the user stops it.
 async fn watch(
     scenario: &Scenario,
     config: &Config,
     port: u16,
     for_s: Option<f64>,
-    shown: Shown,
+    format: Format,
 ) -> anyhow::Result<BTreeMap<String, Verdict>> {
     let limit = async {
         match for_s {
@@ -144,28 +130,9 @@ async fn watch(
             () = stopping => Ok(()),
         }
     };
-    let last = match shown {
-        Shown::Table => table(&session, scenario, config, port, ends).await,
-        Shown::Lines(format) => lines(&session, config, format, ends).await,
-    };
+    let last = lines(&session, config, format, ends).await;
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
     last
-}
-
-/// Shows the table, with the simulated truth below it.
-async fn table(
-    session: &zenoh::Session,
-    scenario: &Scenario,
-    config: &Config,
-    port: u16,
-    ends: impl Future<Output = anyhow::Result<()>>,
-) -> anyhow::Result<BTreeMap<String, Verdict>> {
-    let mut board = LoopTable::new(&config.site.prefix);
-    let below = told::story(scenario, config, port, SPEED);
-    let mut ended = Ok(());
-    top::follow(session, &mut board, &below, async { ended = ends.await }).await?;
-    ended?;
-    Ok(board.rows().filter_map(|row| Some((row.name.clone(), row.verdict?))).collect())
 }
 
 /// Prints one line per result.

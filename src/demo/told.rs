@@ -35,14 +35,6 @@ pub(super) fn beginning(scenario: &Scenario, config: &Config, port: u16, speed: 
     Ok(())
 }
 
-/// A shorter form for below the table.
-pub(super) fn story(scenario: &Scenario, config: &Config, port: u16, speed: f64) -> Vec<String> {
-    let simulated = format!("Simulated, {} times faster than real:", number(speed));
-    let loops = scenario.loops.iter().map(|spec| format!("  {:<8} {}", spec.name, truth(spec)));
-    let web = format!("Page http://{}   Zenoh tcp/127.0.0.1:{port}", config.web.listen);
-    [web, simulated].into_iter().chain(loops).collect()
-}
-
 /// The simulated truth in words.
 fn truth(spec: &LoopSpec) -> String {
     let bands = format!("fs {}, fd {}", number(spec.valve.fs), number(spec.valve.fd));
@@ -75,14 +67,17 @@ pub(super) fn finding(
     if kind == Some(Kind::Alarm) {
         let [changed, state, why, todo] =
             ["changed", "state", "detail", "what_to_do"].map(|key| d[key].as_str().unwrap_or(""));
-        say(format!("{changed}  {name:<8} ALARM ({state}): {why}"))?;
-        if d["event"] == "raised" {
-            say(format!("{:31}{todo}", ""))?;
+        say(format!("{changed}  {name:<8} ALARM ({state})"))?;
+        let todo = if d["event"] == "raised" { todo } else { "" };
+        for line in [why, todo].iter().flat_map(|text| wrapped(text, 88)) {
+            say(format!("{:31}{line}", ""))?;
         }
         return Ok(());
     }
     let sticks = d["stiction"] == true;
     let place = |v: &Json, digits: usize| v.as_f64().map_or("-".to_owned(), |x| format!("{x:.digits$}"));
+    // The strongest period of noise is no period of the loop.
+    let period = d["oscillation"]["period_s"].as_f64().filter(|_| d["oscillation"]["oscillating"] == true);
     let band = |v: &Json| if sticks { place(v, 2) } else { "-".to_owned() };
     say(format!(
         "{}  {name:<8} {:<15} {:>4} {:>6} {:>6}  {}",
@@ -91,10 +86,25 @@ pub(super) fn finding(
         place(&d["p_stiction"], 2),
         band(&d["fs"]),
         band(&d["fd"]),
-        d["oscillation"]["period_s"].as_f64().map_or("-".to_owned(), duration),
+        period.map_or("-".to_owned(), duration),
     ))?;
     last.extend(Verdict::deserialize(&d["verdict"]).ok().map(|verdict| (name, verdict)));
     Ok(())
+}
+
+/// A text in lines of at most so many characters, broken between words; a longer word keeps a line of its own.
+fn wrapped(text: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
 }
 
 /// The truth next to the last answers.
@@ -121,5 +131,19 @@ fn agrees(spec: &LoopSpec, found: Option<&str>) -> &'static str {
         (_, "inconclusive") => "no answer: not enough evidence in this window",
         _ if healthy && found != "stiction" && found != "deadband" => "about the valve, yes; about the cause, no",
         _ => "NO",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_text_is_broken_between_words_and_loses_none() {
+        let text = "the valve sticks and slips, with a band of 5.6 OP units: inspect packing, actuator and positioner";
+        let lines = wrapped(text, 30);
+        assert!(lines.len() > 2 && lines.iter().all(|line| line.len() <= 30), "{lines:?}");
+        assert_eq!(lines.join(" "), text);
+        assert!(wrapped("", 30).is_empty());
     }
 }

@@ -38,11 +38,6 @@ from others import (  # noqa: F401
     test_the_foxglove_layout_finds_its_topics_in_a_recording,
 )
 from receivers import test_an_alarm_arrives_where_operators_look  # noqa: F401
-from terminal import (  # noqa: F401
-    test_plain_text_comes_where_it_is_wished_or_nobody_looks,
-    test_the_demo_shows_a_table_and_gives_the_terminal_back,
-    test_top_shows_running_daemons_through_a_restart_and_ends_in_order,
-)
 
 PREFIX = "plant1/area1"
 PLANE = f"{PREFIX}/@stiction/v1"

@@ -19,7 +19,7 @@ fail() {
 # What a user does first, with nothing but the folder of the programs.
 tried() {
     local programs=$1
-    "$programs/stictiond" demo --help | grep -q -- --plain || fail "$programs: demo --help"
+    "$programs/stictiond" demo --help | grep -q -- --no-open || fail "$programs: demo --help"
     "$programs/stictiond" analyze recordings/sticking.mcap --op-range 0,100 | grep -q 'the valve sticks' || fail "$programs: analyze"
     # The bridge is found beside the program.
     "$programs/stictiond" bridge mqtt --help | grep -q -- --topic || fail "$programs: bridge"
