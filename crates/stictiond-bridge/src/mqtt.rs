@@ -18,7 +18,7 @@ use sd_notify::NotifyState;
 use crate::bus::{Bus, BusArgs, PAUSE, TOLD_EVERY, Teller, document, is_key};
 use stiction_command::{Format, Outcome, asked_to_stop, block_on, say};
 use stiction_monitor::codec::MAX_PAYLOAD;
-use stiction_monitor::config::{Address, Protocol};
+use stiction_monitor::config::Address;
 use stiction_monitor::short_hash;
 use stiction_runtime::secrets::{pem, secret};
 
@@ -75,9 +75,9 @@ pub struct Args {
 }
 
 fn broker(text: &str) -> Result<Address, String> {
-    Address::parse(text)
+    Address::parse(text, "mqtt", [1883, 8883])
         .ok()
-        .filter(|address| address.protocol == Protocol::Mqtt && address.path.is_empty())
+        .filter(|address| address.path.is_empty())
         .ok_or_else(|| "write mqtt://HOST[:PORT] or mqtts://HOST[:PORT]".to_owned())
 }
 

@@ -218,7 +218,7 @@ impl Simulation {
              [window]\nhop_s = 43200.0\nmax_window_s = 172800.0\nmax_points = 128\nlateness_s = 1800.0\n\
              [alarm]\nraise = [2, 3]\ns_limit_op = 1.0\n[gap]\nenabled = false\nbudget_evaluations = 1000\n\
              [retention]\nraw_days = {RAW_DAYS}\nresults_days = {RESULTS_DAYS}\n\
-             [[deliver]]\nname = \"cmms\"\nto = \"syslog+tcp://127.0.0.1:1\"\n\
+             [[deliver]]\nname = \"cmms\"\nto = \"http://127.0.0.1:1\"\n\
              [recording]\ndir = {:?}\nmax_s = 86400.0\n",
             dir.to_str().unwrap()
         );

@@ -12,32 +12,20 @@ const QUEUE: u64 = 10_000;
 /// Documents that can be delivered.
 const DOCUMENTS: [&str; 4] = ["alarm", "estimate", "gap", "data_health"];
 
-/// Protocol of delivery.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Protocol {
-    /// HTTP POST of a CloudEvent.
-    Webhook,
-    /// MQTT 5.
-    Mqtt,
-    /// Syslog (RFC 5424) over UDP.
-    SyslogUdp,
-    /// Syslog over TCP, framed as in RFC 6587.
-    SyslogTcp,
-}
+/// What replaces the receivers that went.
+const INSTEAD: &str = "write http[s]://HOST/PATH, or let the receiver read the bus (Zenoh has an MQTT bridge of its own) or Alertmanager \
+                       send the alarms (config/alerts.yml)";
 
-/// Parsed address of a receiver.
+/// Parsed address of another program.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Address {
-    /// Protocol.
-    pub protocol: Protocol,
     /// Whether TLS is used.
     pub tls: bool,
     /// Host name or address, without brackets.
     pub host: String,
     /// Port.
     pub port: u16,
-    /// Part after the port without its slash: of a webhook the URL path, for MQTT the prefix of every topic.
+    /// Part after the port without its slash.
     pub path: String,
 }
 
@@ -48,13 +36,9 @@ pub struct Deliver {
     pub name: String,
     /// Address as written.
     pub to: String,
-    /// Parsed address.
-    pub address: Address,
     /// Documents to deliver: `alarm`, `estimate`, `gap`, `data_health`.
     pub documents: Vec<String>,
-    /// MQTT: user name.
-    pub user: String,
-    /// File with the user's password, or with a webhook's bearer token.
+    /// File with the bearer token.
     pub secret_file: String,
     /// CA certificates (PEM) to trust; empty: public authorities.
     pub ca_file: String,
@@ -67,21 +51,18 @@ pub struct Deliver {
 }
 
 impl Address {
-    /// Parses `scheme://host[:port][/path]`.
+    /// Parses `SCHEME://host[:port][/path]` of a scheme with its default ports without and with TLS, whose name is then
+    /// `SCHEMEs`.
     ///
     /// # Errors
     /// What is wrong with it.
-    pub fn parse(text: &str) -> Result<Self, String> {
-        let (scheme, rest) = text.split_once("://").ok_or("it has no scheme")?;
-        let (protocol, tls, default_port) = match scheme {
-            "http" => (Protocol::Webhook, false, 80),
-            "https" => (Protocol::Webhook, true, 443),
-            "mqtt" => (Protocol::Mqtt, false, 1883),
-            "mqtts" => (Protocol::Mqtt, true, 8883),
-            "syslog+udp" => (Protocol::SyslogUdp, false, 514),
-            "syslog+tcp" => (Protocol::SyslogTcp, false, 514),
-            other => return Err(format!("{other:?} is not a known scheme")),
-        };
+    pub fn parse(text: &str, scheme: &str, default_ports: [u16; 2]) -> Result<Self, String> {
+        let (found, rest) = text.split_once("://").ok_or("it has no scheme")?;
+        let tls = found.strip_suffix('s').is_some_and(|plain| plain == scheme);
+        if !tls && found != scheme {
+            return Err(format!("{found:?} is not a known scheme"));
+        }
+        let default_port = default_ports[usize::from(tls)];
         if text.chars().any(|c| c.is_control() || c.is_whitespace()) || rest.contains('@') {
             return Err("spaces, control characters and user names are not allowed".to_owned());
         }
@@ -99,7 +80,7 @@ impl Address {
         if host.is_empty() {
             return Err("it names no host".to_owned());
         }
-        Ok(Self { protocol, tls, host: host.to_owned(), port, path: path.trim_end_matches('/').to_owned() })
+        Ok(Self { tls, host: host.to_owned(), port, path: path.trim_end_matches('/').to_owned() })
     }
 }
 
@@ -155,21 +136,22 @@ fn read_deliver(r: &mut TableReader<'_, '_>) -> Option<Deliver> {
             None
         }
     };
-    let known = "write http[s]://HOST/PATH, mqtt[s]://HOST:PORT, syslog+udp://HOST:PORT or syslog+tcp://HOST:PORT";
-    let to = r.text("to").map_or_else(
-        || {
+    let known = "write http[s]://HOST/PATH";
+    let to = match r.text("to") {
+        None => {
             r.refuse(line, "to", "is missing", known);
             None
-        },
-        Some,
-    );
-    let address = to.as_ref().and_then(|(to, line)| match Address::parse(to) {
-        Ok(address) => Some(address),
-        Err(why) => {
-            r.refuse(*line, "to", format!("{to:?} is not a valid address: {why}"), known);
-            None
         }
-    });
+        Some((to, line)) => match Address::parse(&to, "http", [80, 443]) {
+            Ok(_) => Some(to),
+            Err(why) => {
+                let gone = ["mqtt", "syslog"].iter().any(|scheme| to.starts_with(scheme));
+                let remedy = if gone { INSTEAD } else { known };
+                r.refuse(line, "to", format!("{to:?} is not the address of a webhook: {why}"), remedy);
+                None
+            }
+        },
+    };
     let documents = r.texts("documents");
     for (word, line) in documents.iter().filter(|(word, _)| !DOCUMENTS.contains(&word.as_str())) {
         let remedy = format!("write some of {}", DOCUMENTS.join(", "));
@@ -179,26 +161,16 @@ fn read_deliver(r: &mut TableReader<'_, '_>) -> Option<Deliver> {
     if documents.is_empty() {
         documents.push(DOCUMENTS[0].to_owned());
     }
-    let [user, secret_file, ca_file, cert_file, key_file] = ["user", "secret_file", "ca_file", "cert_file", "key_file"]
+    let [secret_file, ca_file, cert_file, key_file] = ["secret_file", "ca_file", "cert_file", "key_file"]
         .map(|key| r.text(key).map(|(text, _)| text).filter(|text| !text.is_empty()));
     let queue = r.integer("queue", QUEUE, 10, 1_000_000) as usize;
     if cert_file.is_some() != key_file.is_some() {
         r.refuse(line, "cert_file", "needs key_file", "write both or neither");
     }
-    if let (Some(address), Some(_)) = (&address, &user)
-        && address.protocol != Protocol::Mqtt
-    {
-        r.refuse(
-            line,
-            "user",
-            "applies to MQTT only",
-            "remove it; a webhook sends the content of secret_file as its token",
-        );
-    }
-    let [user, secret_file, ca_file, cert_file, key_file] =
-        [user, secret_file, ca_file, cert_file, key_file].map(Option::unwrap_or_default);
-    let ((to, _), address, name) = (to?, address?, name?);
-    Some(Deliver { name, to, address, documents, user, secret_file, ca_file, cert_file, key_file, queue })
+    let [secret_file, ca_file, cert_file, key_file] =
+        [secret_file, ca_file, cert_file, key_file].map(Option::unwrap_or_default);
+    let (to, name) = (to?, name?);
+    Some(Deliver { name, to, documents, secret_file, ca_file, cert_file, key_file, queue })
 }
 
 #[cfg(test)]
@@ -209,56 +181,58 @@ mod tests {
 
     #[test]
     fn addresses_come_apart() {
-        let of = |text: &str| {
-            let a = Address::parse(text).unwrap();
-            (a.protocol, a.tls, a.host, a.port, a.path)
+        let of = |text: &str, scheme: &str| {
+            let a = Address::parse(text, scheme, [80, 443]).unwrap();
+            (a.tls, a.host, a.port, a.path)
         };
-        let (webhook, mqtt, udp, tcp) = (Protocol::Webhook, Protocol::Mqtt, Protocol::SyslogUdp, Protocol::SyslogTcp);
-        assert_eq!(of("https://cmms.plant/a/b?c=d"), (webhook, true, "cmms.plant".into(), 443, "a/b?c=d".into()));
-        assert_eq!(of("mqtt://10.0.0.1:1884/plant/"), (mqtt, false, "10.0.0.1".into(), 1884, "plant".into()));
-        assert_eq!(of("syslog+udp://[::1]"), (udp, false, "::1".into(), 514, String::new()));
-        assert_eq!(of("syslog+tcp://[fe80::1]:6514"), (tcp, false, "fe80::1".into(), 6514, String::new()));
-        for bad in ["cmms.plant", "ftp://h", "http://", "mqtt://h:x", "mqtt://h:0", "http://u:p@h/", "http://a b"] {
-            assert!(Address::parse(bad).is_err(), "{bad}");
+        assert_eq!(of("https://cmms.plant/a/b?c=d", "http"), (true, "cmms.plant".into(), 443, "a/b?c=d".into()));
+        assert_eq!(of("mqtt://10.0.0.1:1884/plant/", "mqtt"), (false, "10.0.0.1".into(), 1884, "plant".into()));
+        assert_eq!(of("http://[::1]", "http"), (false, "::1".into(), 80, String::new()));
+        assert_eq!(of("mqtts://[fe80::1]:6514", "mqtt"), (true, "fe80::1".into(), 6514, String::new()));
+        for bad in ["cmms.plant", "ftp://h", "mqtt://h", "http://", "http://h:x", "http://h:0", "http://u:p@h/", "http://a b"] {
+            assert!(Address::parse(bad, "http", [80, 443]).is_err(), "{bad}");
         }
     }
 
     #[test]
     fn a_receiver_is_checked_and_changes_no_hash() {
         let parse = |entry: &str| Config::parse(&format!("[site]\nprefix = \"p\"\n[[deliver]]\n{entry}\n"));
-        let config = parse("name = \"a\"\nto = \"mqtt://h\"").unwrap();
+        let config = parse("name = \"a\"\nto = \"http://h\"").unwrap();
         assert_eq!(config.hash(), Config::parse("[site]\nprefix = \"p\"\n").unwrap().hash());
         assert_eq!(
             (config.deliver[0].documents.as_slice(), config.deliver[0].queue),
             (&["alarm".to_owned()][..], 10_000)
         );
         for (entry, key) in [
-            ("to = \"mqtt://h\"", "deliver[0].name"),
-            ("name = \"a b\"\nto = \"mqtt://h\"", "deliver[0].name"),
+            ("to = \"http://h\"", "deliver[0].name"),
+            ("name = \"a b\"\nto = \"http://h\"", "deliver[0].name"),
             ("name = \"a\"", "deliver[0].to"),
             ("name = \"a\"\nto = \"h\"", "deliver[0].to"),
             ("name = \"a\"\nto = \"http://h\"\nuser = \"u\"", "deliver[0].user"),
-            ("name = \"a\"\nto = \"mqtts://h\"\ncert_file = \"c\"", "deliver[0].cert_file"),
-            ("name = \"a\"\nto = \"mqtt://h\"\ndocuments = [\"health\"]", "deliver[0].documents"),
+            ("name = \"a\"\nto = \"syslog+udp://h\"", "deliver[0].to"),
+            ("name = \"a\"\nto = \"https://h\"\ncert_file = \"c\"", "deliver[0].cert_file"),
+            ("name = \"a\"\nto = \"http://h\"\ndocuments = [\"health\"]", "deliver[0].documents"),
             (
-                "name = \"a\"\nto = \"mqtt://h\"\ndocuments = [\"data_health\"]\n[summary]\nevery_s = 0",
+                "name = \"a\"\nto = \"http://h\"\ndocuments = [\"data_health\"]\n[summary]\nevery_s = 0",
                 "summary.every_s",
             ),
-            ("name = \"a\"\nto = \"mqtt://h\"\n[summary]\nevery_s = 0.5", "summary.every_s"),
-            ("name = \"a\"\nto = \"mqtt://h\"\n[summary]\nat = \"24:00\"", "summary.at"),
-            ("name = \"a\"\nto = \"mqtt://h\"\n[summary]\nat = \"6:00\"", "summary.at"),
-            ("name = \"a\"\nto = \"mqtt://h\"\n[[deliver]]\nname = \"a\"\nto = \"mqtt://h\"", "deliver[1].name"),
+            ("name = \"a\"\nto = \"http://h\"\n[summary]\nevery_s = 0.5", "summary.every_s"),
+            ("name = \"a\"\nto = \"http://h\"\n[summary]\nat = \"24:00\"", "summary.at"),
+            ("name = \"a\"\nto = \"http://h\"\n[summary]\nat = \"6:00\"", "summary.at"),
+            ("name = \"a\"\nto = \"http://h\"\n[[deliver]]\nname = \"a\"\nto = \"http://h\"", "deliver[1].name"),
         ] {
             let faults = parse(entry).unwrap_err();
             assert!(faults.iter().any(|f| f.key == key && !f.remedy.is_empty()), "{entry}: {faults:?}");
         }
+        let gone = parse("name = \"a\"\nto = \"mqtts://h/topics\"").unwrap_err();
+        assert!(gone.len() == 1 && gone[0].remedy.contains("bus"), "{gone:?}");
     }
 
     proptest! {
         #[test]
-        fn any_address_is_answered(text in "\\PC{0,40}", scheme in "(http|mqtts|syslog\\+tcp)://") {
-            let _ = Address::parse(&text);
-            if let Ok(a) = Address::parse(&format!("{scheme}{text}")) {
+        fn any_address_is_answered(text in "\\PC{0,40}", scheme in "https?://") {
+            let _ = Address::parse(&text, "http", [80, 443]);
+            if let Ok(a) = Address::parse(&format!("{scheme}{text}"), "http", [80, 443]) {
                 prop_assert!(!a.host.is_empty() && a.port > 0);
             }
         }

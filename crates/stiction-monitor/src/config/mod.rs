@@ -17,7 +17,7 @@ use toml::de::DeTable;
 use alarm::read_alarm;
 pub use bundle::{BundleKey, NAME_MARK};
 pub use changes::{ChangedLoop, ConfigChanges};
-pub use deliver::{Address, Deliver, Protocol};
+pub use deliver::{Address, Deliver};
 pub use input::Input;
 pub use loops::Action;
 pub use reader::Fault;

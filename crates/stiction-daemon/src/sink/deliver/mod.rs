@@ -8,11 +8,7 @@
 
 mod dead;
 mod keep;
-#[cfg(feature = "deliver")]
-mod mqtt;
 mod queue;
-mod syslog;
-#[cfg(feature = "deliver")]
 mod webhook;
 mod worker;
 
@@ -30,9 +26,9 @@ use keep::{Change, Keep};
 use queue::Queue;
 use stiction_core::units::format_rfc3339;
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_monitor::alarm::{AlarmDocument, Priority};
+use stiction_monitor::alarm::AlarmDocument;
 use stiction_monitor::codec::topic::Kind;
-use stiction_monitor::config::{Config, Deliver, Protocol};
+use stiction_monitor::config::{Config, Deliver};
 use stiction_monitor::short_hash;
 use stiction_runtime::clock::Clock;
 use stiction_runtime::data_health::DataHealthDocument;
@@ -45,7 +41,7 @@ use worker::{Step, Worker};
 const HANDED: usize = 4096;
 /// How long a receiver may take for one document.
 const SEND_WITHIN: Duration = Duration::from_secs(10);
-/// Silence after which a connection is let go.
+/// How long a thread sleeps where nobody wakes it.
 const IDLE: Duration = Duration::from_secs(20);
 /// How long a loss stays among the faults.
 const LOSS_SHOWN: Duration = Duration::from_secs(3600);
@@ -65,12 +61,6 @@ pub struct Item {
     pub prefix: String,
     /// When it happened, RFC 3339, plant time.
     pub time: String,
-    /// How much it presses, as a severity of syslog: 2 critical to 6 informational.
-    pub level: u8,
-    /// Fields that stand beside the line in syslog.
-    pub fields: Vec<(String, String)>,
-    /// One line for people.
-    pub line: String,
     /// The document, JSON.
     pub document: String,
 }
@@ -79,29 +69,6 @@ impl Item {
     /// A change of an alarm.
     #[must_use]
     pub fn alarm(prefix: &str, a: &AlarmDocument, json: &[u8]) -> Self {
-        let level = match a.priority.filter(|_| a.state == stiction_monitor::alarm::State::Unack) {
-            Some(Priority::Urgent) => 2,
-            Some(Priority::High) => 3,
-            Some(Priority::Medium | Priority::Low) => 4,
-            None => 5,
-        };
-        let text = |name: &str, value: Option<String>| Some((name.to_owned(), value?));
-        let number = |x: Option<f64>| x.map(|x| format!("{x:.4}"));
-        let word = a.priority.and_then(|p| serde_json::to_value(p).ok()?.as_str().map(str::to_owned));
-        let fields = [
-            text("loop", Some(a.loop_name.clone())),
-            text("event", Some(a.event.name().to_owned())),
-            text("event_id", Some(a.event_id.clone())),
-            text("state", Some(a.state.name().to_owned())),
-            text("active", Some(a.active.to_string())),
-            text("priority", word),
-            text("area", a.area.clone()),
-            text("equipment", a.equipment.clone()),
-            text("s", number(a.figures.s)),
-            text("s_limit", number(a.figures.s_limit)),
-            text("unit", Some(a.unit.clone())),
-            text("p", number(a.figures.p)),
-        ];
         Self {
             id: a.event_id.clone(),
             kind: Kind::Alarm.name().to_owned(),
@@ -109,9 +76,6 @@ impl Item {
             loop_name: a.loop_name.clone(),
             prefix: prefix.to_owned(),
             time: a.changed.clone(),
-            level,
-            fields: fields.into_iter().flatten().collect(),
-            line: a.line(),
             document: String::from_utf8_lossy(json).into_owned(),
         }
     }
@@ -119,17 +83,13 @@ impl Item {
     /// An estimate or a gap diagnosis, of a window that ended at this time.
     #[must_use]
     pub fn result(prefix: &str, loop_name: &str, kind: Kind, end_ns: i64, json: &[u8]) -> Self {
-        let time = format_rfc3339(end_ns);
         Self {
             id: short_hash(&[prefix.as_bytes(), b"\n", loop_name.as_bytes(), b"\n", json].concat()),
             kind: kind.name().to_owned(),
             schema: kind.schema().to_owned(),
             loop_name: loop_name.to_owned(),
             prefix: prefix.to_owned(),
-            line: format!("{loop_name}: {} of the window that ended at {time}", kind.name()),
-            time,
-            level: 6,
-            fields: vec![("loop".to_owned(), loop_name.to_owned())],
+            time: format_rfc3339(end_ns),
             document: String::from_utf8_lossy(json).into_owned(),
         }
     }
@@ -139,10 +99,6 @@ impl Item {
     /// The summary of data health.
     #[must_use]
     pub fn data_health(prefix: &str, document: &DataHealthDocument, json: &[u8]) -> Self {
-        let text = |name: &str, value: String| (name.to_owned(), value);
-        let share = document.share.map(|share| text("share", format!("{share:.4}")));
-        let figures =
-            [text("judged", document.judged.to_string()), text("loops", document.loops.to_string())].into_iter();
         Self {
             id: document.event_id.clone(),
             kind: Kind::DataHealth.name().to_owned(),
@@ -150,9 +106,6 @@ impl Item {
             loop_name: format!("@daemon/{}", document.daemon),
             prefix: prefix.to_owned(),
             time: format_rfc3339(document.due_ns),
-            level: 6,
-            fields: figures.chain(share).collect(),
-            line: document.line(),
             document: String::from_utf8_lossy(json).into_owned(),
         }
     }
@@ -176,33 +129,19 @@ pub trait Target: Send {
     /// # Errors
     /// [`Failure`] says whether it is worth another attempt.
     fn send(&mut self, item: &Item) -> Result<(), Failure>;
-
-    /// Nothing is to be sent for a while: a connection may be closed.
-    fn rest(&mut self) {}
 }
 
 /// Makes what sends to a receiver; nothing is connected yet.
-fn target(d: &Deliver, prefix: &str) -> anyhow::Result<Box<dyn Target>> {
-    match d.address.protocol {
-        Protocol::SyslogUdp | Protocol::SyslogTcp => Ok(Box::new(syslog::Syslog::new(&d.address))),
-        #[cfg(feature = "deliver")]
-        Protocol::Webhook => Ok(Box::new(webhook::Webhook::new(d)?)),
-        #[cfg(feature = "deliver")]
-        Protocol::Mqtt => Ok(Box::new(mqtt::Mqtt::new(d, prefix)?)),
-        #[cfg(not(feature = "deliver"))]
-        Protocol::Webhook | Protocol::Mqtt => {
-            let _ = prefix;
-            Err(anyhow!("this build sends neither webhooks nor MQTT: rebuild it with --features full"))
-        }
-    }
+fn target(d: &Deliver) -> anyhow::Result<Box<dyn Target>> {
+    Ok(Box::new(webhook::Webhook::new(d)?))
 }
 
-/// Whether a receiver can be sent to, as far as files and the build tell.
+/// Whether a receiver can be sent to, as far as files tell.
 ///
 /// # Errors
 /// A file cannot be read or holds something else.
 pub fn check(d: &Deliver) -> anyhow::Result<()> {
-    target(d, "").map(drop)
+    target(d).map(drop)
 }
 
 /// The engine's end; copies hand over to the same receivers.
@@ -230,8 +169,8 @@ impl Outbox {
         }
         let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::system());
         let make = |d: &Deliver| {
-            let (entry, prefix) = (d.clone(), config.site.prefix.clone());
-            Box::new(move || target(&entry, &prefix)) as MakeTarget
+            let entry = d.clone();
+            Box::new(move || target(&entry)) as MakeTarget
         };
         let (outbox, delivery) = Self::pair(config, dir, place, make, faults, metrics)?;
         let Delivery { mut keep, incoming, done, workers, .. } = delivery;

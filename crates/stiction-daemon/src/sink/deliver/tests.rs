@@ -1,7 +1,7 @@
-//! Receivers that fail, come back and are never there, over restarts; each protocol against a receiver of its own.
+//! Receivers that fail, come back and are never there, over restarts.
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{TcpListener, UdpSocket};
+use std::net::TcpListener;
 use std::sync::Mutex;
 use std::time::Instant;
 
@@ -111,7 +111,6 @@ fn taken(seen: &Mutex<Vec<Request>>) -> Vec<String> {
         .collect()
 }
 
-#[cfg(feature = "deliver")]
 #[test]
 fn a_webhook_gets_everything_in_order_although_it_fails_and_is_away_over_a_restart() {
     let dir = tempfile::tempdir().unwrap();
@@ -159,7 +158,6 @@ fn a_webhook_gets_everything_in_order_although_it_fails_and_is_away_over_a_resta
     third.stop();
 }
 
-#[cfg(feature = "deliver")]
 #[test]
 fn what_is_refused_for_good_holds_up_nobody() {
     let dir = tempfile::tempdir().unwrap();
@@ -182,7 +180,6 @@ fn dead_letters(dir: &Path) -> Vec<serde_json::Value> {
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-#[cfg(feature = "deliver")]
 #[test]
 fn a_document_that_is_answered_with_500_for_ever_does_not_block_other_loops() {
     let dir = tempfile::tempdir().unwrap();
@@ -213,7 +210,6 @@ fn a_document_that_is_answered_with_500_for_ever_does_not_block_other_loops() {
     running.stop();
 }
 
-#[cfg(feature = "deliver")]
 #[test]
 fn a_receiver_that_refuses_everything_for_a_while_loses_nothing() {
     let dir = tempfile::tempdir().unwrap();
@@ -228,7 +224,6 @@ fn a_receiver_that_refuses_everything_for_a_while_loses_nothing() {
     running.stop();
 }
 
-#[cfg(feature = "deliver")]
 #[test]
 fn a_document_that_is_refused_for_a_day_does_not_block_its_own_loop() {
     let dir = tempfile::tempdir().unwrap();
@@ -258,7 +253,7 @@ impl Target for Panics {
 fn a_panic_costs_the_document_that_causes_it_and_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let (faults, metrics) = (Arc::new(Faults::default()), Arc::new(Metrics::default()));
-    let entry = config("[[deliver]]\nname = \"a\"\nto = \"syslog+udp://127.0.0.1:1\"\n").deliver.remove(0);
+    let entry = config("[[deliver]]\nname = \"a\"\nto = \"http://127.0.0.1:1\"\n").deliver.remove(0);
     let queue = Arc::new(Queue::new(&entry, &metrics));
     let (changes, settled) = crossbeam_channel::unbounded();
     let sent = Arc::new(Mutex::new(Vec::new()));
@@ -305,7 +300,7 @@ fn the_dead_letter_file_is_bounded() {
 #[test]
 fn too_many_cost_the_oldest_and_receivers_that_are_gone_leave_nothing() {
     let dir = tempfile::tempdir().unwrap();
-    let away = "[[deliver]]\nname = \"a\"\nto = \"syslog+tcp://127.0.0.1:1\"\nqueue = 10\n";
+    let away = "[[deliver]]\nname = \"a\"\nto = \"http://127.0.0.1:1\"\nqueue = 10\n";
     let running = Running::start(dir.path(), away);
     running.offer(0..15);
     wait_for("five to be given up", || (running.metrics.delivery_dropped.get() == 5).then_some(()));
@@ -314,7 +309,10 @@ fn too_many_cost_the_oldest_and_receivers_that_are_gone_leave_nothing() {
     let waiting = stored(stiction_files::store::OUTBOX_NAME).values;
     let oldest: Item = serde_json::from_slice(waiting.values().next().unwrap()).unwrap();
     assert_eq!((waiting.len(), oldest.id.as_str()), (10, "e5"));
-    let other = Running::start(dir.path(), "[[deliver]]\nname = \"b\"\nto = \"syslog+udp://127.0.0.1:1\"\n");
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let there = format!("[[deliver]]\nname = \"b\"\nto = \"http://{}\"\n", listener.local_addr().unwrap());
+    web_server(listener, vec![Some("204 ok")]);
+    let other = Running::start(dir.path(), &there);
     assert_eq!(other.metrics.delivery_dropped.get(), 10);
     other.offer(0..1);
     wait_for("its delivery", || (other.metrics.delivered.get() == 1).then_some(()));
@@ -325,7 +323,7 @@ fn too_many_cost_the_oldest_and_receivers_that_are_gone_leave_nothing() {
 #[test]
 fn what_waits_in_a_store_that_cannot_be_read_at_the_start_is_sent_once_it_can() {
     let dir = tempfile::tempdir().unwrap();
-    let receivers = |port: u16| format!("[[deliver]]\nname = \"a\"\nto = \"syslog+tcp://127.0.0.1:{port}\"\n");
+    let receivers = |port: u16| format!("[[deliver]]\nname = \"a\"\nto = \"http://127.0.0.1:{port}\"\n");
     let first = Running::start(dir.path(), &receivers(1));
     first.offer(0..3);
     wait_for("an attempt", || (first.metrics.delivery_failed.get() > 0).then_some(()));
@@ -334,6 +332,7 @@ fn what_waits_in_a_store_that_cannot_be_read_at_the_start_is_sent_once_it_can() 
     let store = StateStore::open(&dir.path().join(stiction_files::store::OUTBOX_NAME)).unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let second = Running::start(dir.path(), &receivers(listener.local_addr().unwrap().port()));
+    web_server(listener, vec![Some("204 ok")]);
     assert!(second.faults.list()[0].contains("cannot be kept"), "{:?}", second.faults.list());
     second.offer(3..5);
     drop(store);
@@ -345,98 +344,8 @@ fn what_waits_in_a_store_that_cannot_be_read_at_the_start_is_sent_once_it_can() 
 fn a_broken_store_is_put_aside() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join(stiction_files::store::OUTBOX_NAME), vec![7; 9000]).unwrap();
-    let running = Running::start(dir.path(), "[[deliver]]\nname = \"a\"\nto = \"syslog+udp://127.0.0.1:1\"\n");
+    let running = Running::start(dir.path(), "[[deliver]]\nname = \"a\"\nto = \"http://127.0.0.1:1\"\n");
     assert!(running.faults.list()[0].contains("put aside"), "{:?}", running.faults.list());
     running.stop();
     assert!(dir.path().join("outbox.redb.broken").exists());
-}
-
-#[test]
-fn syslog_arrives_by_udp_and_by_tcp_and_comes_back() {
-    let dir = tempfile::tempdir().unwrap();
-    let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
-    udp.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
-    let tcp = TcpListener::bind("127.0.0.1:0").unwrap();
-    let receivers = format!(
-        "[[deliver]]\nname = \"u\"\nto = \"syslog+udp://{}\"\n[[deliver]]\nname = \"t\"\nto = \"syslog+tcp://{}\"\n",
-        udp.local_addr().unwrap(),
-        tcp.local_addr().unwrap()
-    );
-    let running = Running::start(dir.path(), &receivers);
-    running.offer(0..1);
-    let mut datagram = [0; 4096];
-    let length = udp.recv(&mut datagram).unwrap();
-    let by_udp = String::from_utf8(datagram[..length].to_vec()).unwrap();
-    assert!(
-        by_udp.starts_with("<133>1 2026-01-05T08:15:00Z ") && by_udp.contains(" area=\"A \\\"1\\\"\" "),
-        "{by_udp}"
-    );
-    let one = |stream: std::net::TcpStream| {
-        let mut reader = BufReader::new(stream);
-        let mut length = Vec::new();
-        reader.read_until(b' ', &mut length).unwrap();
-        let mut message = vec![0; String::from_utf8(length).unwrap().trim().parse().unwrap()];
-        reader.read_exact(&mut message).unwrap();
-        String::from_utf8(message).unwrap()
-    };
-    assert_eq!(one(tcp.accept().unwrap().0), by_udp);
-    // The receiver has closed: the next one comes by a new connection.
-    running.offer(1..2);
-    assert!(one(tcp.accept().unwrap().0).contains("event_id=\"e1\""));
-    running.stop();
-}
-
-#[cfg(feature = "deliver")]
-#[test]
-fn mqtt_is_confirmed_retained_and_tried_again() {
-    use rumqttc::mqttbytes::v5::{ConnAck, ConnectReturnCode, Packet, PubAck};
-    let dir = tempfile::tempdir().unwrap();
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let receiver = format!("[[deliver]]\nname = \"m\"\nto = \"mqtt://{}/plant\"\n", listener.local_addr().unwrap());
-    let (tell, told) = std::sync::mpsc::channel();
-    // The first connection breaks off before it confirms.
-    std::thread::spawn(move || {
-        for (connection, stream) in listener.incoming().enumerate() {
-            let mut stream = stream.unwrap();
-            let (mut bytes, mut some) = (bytes::BytesMut::new(), [0; 4096]);
-            let answer = |stream: &mut std::net::TcpStream, packet: Packet| {
-                let mut out = bytes::BytesMut::new();
-                packet.write(&mut out, None).unwrap();
-                stream.write_all(&out).unwrap();
-            };
-            while let Ok(length @ 1..) = stream.read(&mut some) {
-                bytes.extend_from_slice(&some[..length]);
-                while let Ok(packet) = Packet::read(&mut bytes, None) {
-                    match packet {
-                        Packet::Connect(..) => {
-                            let code = ConnectReturnCode::Success;
-                            let ack = ConnAck { session_present: false, code, properties: None };
-                            answer(&mut stream, Packet::ConnAck(ack));
-                        }
-                        Packet::Publish(publish) if connection > 0 => {
-                            answer(&mut stream, Packet::PubAck(PubAck::new(publish.pkid, None)));
-                            tell.send(publish).unwrap();
-                        }
-                        _ => {}
-                    }
-                }
-                if connection == 0 && length > 100 {
-                    break;
-                }
-            }
-        }
-    });
-    let running = Running::start(dir.path(), &receiver);
-    running.offer(0..3);
-    for k in 0..3 {
-        let publish = told.recv_timeout(Duration::from_secs(30)).unwrap();
-        assert_eq!((publish.topic.as_ref(), publish.retain), (b"plant/FIC101/alarm".as_slice(), true));
-        let document: serde_json::Value = serde_json::from_slice(&publish.payload).unwrap();
-        assert_eq!(document["event_id"], format!("e{k}"));
-        let properties = publish.properties.unwrap();
-        assert_eq!(properties.content_type.as_deref(), Some("application/json;stictiond.alarm.v2"));
-    }
-    wait_for("the confirmations", || (running.metrics.delivered.get() == 3).then_some(()));
-    assert!(running.metrics.delivery_failed.get() >= 1);
-    running.stop();
 }

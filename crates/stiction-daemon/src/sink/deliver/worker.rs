@@ -90,11 +90,7 @@ impl Worker {
                         return;
                     }
                 }
-                Step::Idle => {
-                    if let Some(target) = &mut self.target {
-                        target.rest();
-                    }
-                }
+                Step::Idle => {}
                 Step::Closed => return,
             }
         }
