@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde_json::json;
 
-use super::running::Running;
 use super::{Format, Outcome, say};
 use stiction_daemon::sink::deliver;
 use stiction_daemon::sink::signing::Signer;
@@ -15,22 +14,16 @@ use stiction_web::guard_of;
 
 /// Check a configuration, the files it names and the recording folder; list every fault with line and remedy.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:
-  stictiond check config/monitor.toml
-  stictiond check config/monitor.toml --running")]
+#[command(after_help = "Example: stictiond check config/monitor.toml")]
 pub struct Args {
     /// Configuration file (TOML).
     pub config: PathBuf,
-    /// Also print what differs from the configuration of the running daemon, whose page is at URL [default: `[web] listen`
-    /// of CONFIG].
-    #[arg(long, value_name = "URL", num_args = 0..=1, require_equals = true, default_missing_value = "")]
-    pub running: Option<String>,
 }
 
 /// Runs the command; faults give exit code 1.
 ///
 /// # Errors
-/// The file cannot be read, or the running daemon does not answer.
+/// The file cannot be read.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let text = std::fs::read_to_string(&args.config).with_context(|| args.config.display().to_string())?;
     let parsed = Config::parse(&text);
@@ -40,31 +33,15 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     };
     let hash = parsed.as_ref().ok().filter(|_| faults.is_empty()).map(Config::hash);
     let path = args.config.display().to_string();
-    let running = match (&args.running, &parsed) {
-        (Some(url), Ok(config)) if faults.is_empty() => {
-            let running = Running::of(config, Some(url.as_str()).filter(|url| !url.is_empty()), "--running=URL")?;
-            let changes = running.changes(&text)?;
-            Some((running.url, changes))
-        }
-        _ => None,
-    };
     if format == Format::Json {
         let rows: Vec<_> = faults
             .iter()
             .map(|f| json!({"line": f.line, "key": f.key, "message": f.message, "remedy": f.remedy}))
             .collect();
         let ok = faults.is_empty();
-        let mut said =
-            json!({"schema": "stictiond.check.v1", "file": path, "ok": ok, "config_hash": hash, "faults": rows});
-        if let Some((url, changes)) = running {
-            said["running"] = json!({"url": url, "changes": changes});
-        }
-        say(said)?;
+        say(json!({"schema": "stictiond.check.v1", "file": path, "ok": ok, "config_hash": hash, "faults": rows}))?;
     } else if let Some(hash) = hash {
         say(format!("{path}: no faults (config hash {hash})"))?;
-        if let Some((url, changes)) = running {
-            say(format!("changes for the daemon at {url}:\n{changes}"))?;
-        }
     } else {
         for fault in &faults {
             say(format!("{path}: {fault}"))?;

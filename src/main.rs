@@ -46,10 +46,8 @@ mod plant;
 pub mod play;
 pub mod reading;
 pub mod recover;
-pub mod reload;
 pub mod replay;
 pub mod run;
-mod running;
 pub mod schema;
 pub mod selection;
 pub mod simulate;
@@ -104,7 +102,6 @@ enum CommandArgs {
     Compact(compact::Args),
     Convert(convert::ConvertArgs),
     Check(check::Args),
-    Reload(reload::Args),
     Test(test::Args),
     Discover(discover::Args),
     /// Bring another system's data onto the bus, by the program stictiond-bridge.
@@ -143,7 +140,6 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Compact(args) => compact::run(&args, format),
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
-        CommandArgs::Reload(args) => reload::run(&args, format),
         CommandArgs::Test(args) => test::run(&args, format),
         CommandArgs::Discover(args) => discover::run(&args, cli.output),
         CommandArgs::Bridge(args) => BRIDGE.run(cli.output, &[], &args),

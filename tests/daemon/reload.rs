@@ -7,9 +7,7 @@ use serde_json::Value;
 use stiction_monitor::codec::topic::Kind;
 use zenoh::Wait;
 
-use crate::live::{
-    Daemon, PREFIX, ask, command_headers, documents, files, http, ok, plane, request, stictiond, wait_for,
-};
+use crate::live::{Daemon, PREFIX, ask, documents, files, http, ok, plane, wait_for};
 
 const SETTINGS: &str = "[input]\ndiscover = false\n[window]\nhop_s = 60.0\n[plant]\ngroups = false\n";
 const ADDED: &str = "[[loop]]\nname = \"FIC101\"\nop = \"gw/FIC101.OP\"\npv = \"gw/FIC101.PV\"\n";
@@ -106,67 +104,4 @@ fn an_operator_adds_a_loop_to_a_running_daemon_sees_its_first_window_and_removes
     let counts = replays(&daemon.stop());
     assert_eq!(counts.len(), 3, "a recording for each edit: {counts:?}");
     assert!(counts.iter().all(|count| *count > 0), "{counts:?}");
-}
-
-/// The output of a command, and its exit code.
-fn said(args: &[&str]) -> (Option<i32>, String) {
-    let out = stictiond(args);
-    (out.status.code(), String::from_utf8([out.stdout, out.stderr].concat()).unwrap())
-}
-
-#[test]
-fn reload_and_check_say_what_changes_and_why_a_file_is_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let token_file = dir.path().join("token");
-    fs::write(&token_file, "0123456789abcdef0123456789abcdef\n").unwrap();
-    let daemon = Daemon::start(dir.path(), &format!("token_file = {token_file:?}\n{SETTINGS}{OTHER}"));
-    let path = dir.path().join("config.toml");
-    let (config, url) = (path.to_str().unwrap(), format!("http://{}", daemon.web));
-    let text = fs::read_to_string(&path).unwrap();
-    let write = |extra: &str| fs::write(&path, format!("{text}{extra}")).unwrap();
-    let (reload, check) = (["reload", config, "--url", &url], ["check", config, &format!("--running={url}")]);
-    assert_eq!(said(&check).0, Some(0));
-    assert!(said(&check).1.contains("no changes"));
-    let recordings = files(&daemon.recordings).len();
-    assert_eq!(said(&reload), (Some(0), format!("{url}: in force\nno changes\n")));
-    assert_eq!(files(&daemon.recordings).len(), recordings, "nothing changed");
-
-    write(ADDED);
-    let (code, out) = said(&check);
-    assert!(code == Some(0) && out.contains("added: FIC101"), "{out}");
-    assert_eq!(said(&reload), (Some(0), format!("{url}: in force\nadded: FIC101\n")));
-    assert!(said(&check).1.contains("no changes"));
-    wait_for("new recordings", || (files(&daemon.recordings).len() > recordings).then_some(()));
-
-    // What needs a restart is named by both, and nothing of the file is used.
-    write("[shard]\nindex = 0\ncount = 2\n");
-    let (code, out) = said(&check);
-    assert!(code == Some(0) && out.contains("removed: FIC101\nneed a restart: shard.count"), "{out}");
-    let (code, out) = said(&reload);
-    assert!(code == Some(1) && out.contains("shard.count") && out.contains("restart the daemon"), "{out}");
-    wait_for("the fault", || daemon.faults().iter().any(|fault| fault.contains("shard.count")).then_some(()));
-    write(ADDED);
-    assert_eq!(said(&reload).0, Some(0));
-    wait_for("no fault", || daemon.faults().is_empty().then_some(()));
-
-    // Another file than the daemon's, another site's, and no daemon.
-    let other = dir.path().join("other.toml");
-    let with = |text: &str| {
-        fs::write(&other, text).unwrap();
-        said(&["reload", other.to_str().unwrap(), "--url", &url])
-    };
-    let (code, out) = with(&text);
-    assert!(code == Some(1) && out.contains("reads another file") && out.contains("removed: FIC101"), "{out}");
-    let (code, out) = with(&text.replace(PREFIX, "plant2"));
-    assert!(code == Some(1) && out.contains("the daemon of") && out.contains("--url"), "{out}");
-    let (code, out) = said(&["reload", config, "--url", "http://127.0.0.1:9"]);
-    assert!(code == Some(1) && out.contains("no daemon answers"), "{out}");
-
-    // The rules of all commands: the header of its own, and the token.
-    let post = |headers: &[(&str, &str)]| {
-        let stream = std::net::TcpStream::connect(&daemon.web).unwrap();
-        request(stream, &["POST", "/api/v1/configuration/reload"], headers, "").0
-    };
-    assert_eq!(post(&[("Host", &daemon.web)]), 403);
-    assert_eq!(post(&command_headers(&daemon.web, &[])), 401);
 }

@@ -51,7 +51,6 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use crossbeam_channel::{Receiver, Sender};
 use sd_notify::NotifyState;
-use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
@@ -79,8 +78,6 @@ use stiction_runtime::control::Control;
 pub use stiction_runtime::health::DaemonHealth;
 use stiction_runtime::view::Serve;
 
-/// Requests about the configuration that may wait.
-const CONFIG_REQUESTS: usize = 8;
 /// How often the health documents are made, unless a test asks for less.
 pub const HEALTH_EVERY: Duration = Duration::from_secs(5);
 
@@ -125,8 +122,7 @@ pub async fn run(
     let lock = start::lock_folder(&shared.recordings, faults)?;
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
-    let (requests, wanted) = mpsc::channel(CONFIG_REQUESTS);
-    let view = shared.view(options.origin, control.clone(), requests);
+    let view = shared.view(options.origin, control.clone());
     let server = (options.serve)(view, metrics.registry()).await?;
     tokio::pin!(stop);
     let Some(opened) = start::open(&config, &shared, options.origin, queue, &mut stop).await? else {
@@ -181,7 +177,7 @@ pub async fn run(
     let mut reload =
         Reload::new(ReloadParts { file, current, control: control.clone(), askers, subscriptions, faults });
     let unasked = tokio::select! {
-        () = signals::serve_until(stop, (hangups, wanted), &mut reload) => None,
+        () = signals::serve_until(stop, hangups, &mut reload) => None,
         name = shutdown::unasked_end(&threads) => Some(name),
     };
     tracing::info!("stopping");

@@ -70,15 +70,6 @@ impl ConfigFile {
     }
 }
 
-/// When a reload begins new recordings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NewFiles {
-    /// Always.
-    Always,
-    /// Where anything changed.
-    AfterChanges,
-}
-
 /// Takes edits of the configuration file over, as a whole or not at all.
 pub struct Reload {
     file: Option<ConfigFile>,
@@ -115,49 +106,31 @@ impl Reload {
 
     /// Reads the file again and takes over what changed: once this returns, it is in force. A file that cannot be used
     /// changes nothing, and is a fault until a later one can.
-    ///
-    /// # Errors
-    /// Why the file is not used.
-    pub async fn run(&mut self, new_files: NewFiles) -> anyhow::Result<ConfigChanges> {
-        let edit = match self.file()?.edit_of(&self.current.get()) {
-            Ok(edit) => edit,
-            Err(error) => {
-                // One line, as all faults.
-                let why = format!("{error:#}").replace("\n  ", " ");
-                self.faults.raise(FAULT, format!("the changed configuration is not used, the old one holds: {why}"));
-                return Err(error);
+    pub async fn run(&mut self) {
+        match self.take_over().await {
+            Ok(changes) => {
+                self.faults.clear(FAULT);
+                let changes = changes.to_string().replace('\n', "; ");
+                tracing::info!(%changes, "configuration reloaded; these changes are in force");
             }
-        };
-        let (changes, config) = (edit.changes.clone(), edit.config.clone());
-        if changes.is_empty() && new_files == NewFiles::AfterChanges {
-            self.faults.clear(FAULT);
-            return Ok(changes);
+            // One line, as all faults.
+            Err(error) => self.faults.raise(FAULT, format!("{error:#}").replace("\n  ", " ")),
         }
+    }
+
+    async fn take_over(&mut self) -> anyhow::Result<ConfigChanges> {
+        let file = self.file.as_ref().context("this daemon has no configuration file to read again")?;
+        let edit = file.edit_of(&self.current.get()).context("the changed configuration is not used, the old one holds")?;
+        let (changes, config) = (edit.changes.clone(), edit.config.clone());
         let (answer, answered) = tokio::sync::oneshot::channel();
         let answer = Box::new(move || answer.send(()).unwrap_or(()));
         hand_over(&self.control, Control::Edit { edit: Box::new(edit), answer }).await;
         answered.await.map_err(|_| anyhow!("the daemon is stopping"))?;
         self.current.set(config.clone());
         self.askers.limit(&config.commands);
-        self.subscriptions.follow(&config).await.inspect_err(|error| {
-            self.faults
-                .raise(FAULT, format!("the changed configuration is in force, but some loops hear nothing: {error:#}"));
-        })?;
-        self.faults.clear(FAULT);
-        tracing::info!(changes = %changes.to_string().replace('\n', "; "), "configuration reloaded; these changes are in force");
+        let deaf = "the changed configuration is in force, but some loops hear nothing";
+        self.subscriptions.follow(&config).await.context(deaf)?;
         Ok(changes)
-    }
-
-    /// What differs in a text from the configuration in force.
-    ///
-    /// # Errors
-    /// Its faults.
-    pub fn compare(&self, text: &str) -> anyhow::Result<ConfigChanges> {
-        Ok(self.current.get().changes_to(&self.file()?.parse(text)?))
-    }
-
-    fn file(&self) -> anyhow::Result<&ConfigFile> {
-        self.file.as_ref().context("this daemon has no configuration file to read again")
     }
 
     /// Gives the subscriptions up.

@@ -4,11 +4,9 @@ use std::future::Future;
 
 use sd_notify::NotifyState;
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::sync::mpsc::Receiver;
 
 use super::core::tell_system;
-use super::reload::{NewFiles, Reload};
-use stiction_runtime::control::{ConfigAnswer, ConfigRequest, ConfigWish};
+use super::reload::Reload;
 
 /// A file that reaches the limit of the system (`ulimit -f`) is an error of that file, not the end of the process.
 pub fn survive_file_size_limit() {
@@ -24,32 +22,24 @@ pub fn hangups() -> Option<Signal> {
     signal(SignalKind::hangup()).inspect_err(|error| tracing::warn!(%error, "SIGHUP cannot be watched")).ok()
 }
 
-/// Waits for `stop`; until then SIGHUP reads the configuration again and begins new recordings, and requests are answered.
+/// Waits for `stop`; until then SIGHUP reads the configuration again and begins new recordings.
 pub async fn serve_until(
     mut stop: impl Future<Output = ()> + Unpin,
-    (mut hangups, mut requests): (Option<Signal>, Receiver<ConfigRequest>),
+    mut hangups: Option<Signal>,
     reload: &mut Reload,
 ) {
     loop {
-        let (answer, new_files) = tokio::select! {
+        tokio::select! {
             () = &mut stop => return,
-            // What is wrong is among the faults.
-            () = next(&mut hangups) => (Box::new(|_| ()) as ConfigAnswer, NewFiles::Always),
-            Some(ConfigRequest { wish, answer }) = requests.recv() => match wish {
-                ConfigWish::Reload => (answer, NewFiles::AfterChanges),
-                ConfigWish::Compare(text) => {
-                    answer(reload.compare(&text).map_err(|error| format!("{error:#}")));
-                    continue;
-                }
-            },
-        };
+            () = next(&mut hangups) => {}
+        }
         match NotifyState::monotonic_usec_now() {
             Ok(now) => tell_system(&[NotifyState::Reloading, now]),
             Err(error) => tracing::debug!(%error, "systemd cannot be told"),
         }
         tokio::select! {
             () = &mut stop => return,
-            done = reload.run(new_files) => answer(done.map_err(|error| format!("{error:#}"))),
+            () = reload.run() => {}
         }
         tell_system(&[NotifyState::Ready]);
     }

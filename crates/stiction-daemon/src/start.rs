@@ -9,7 +9,6 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
-use tokio::sync::mpsc;
 
 use super::core::tell_system;
 use super::data_health::{self, DataHealthParts, DataHealthWorker};
@@ -29,7 +28,7 @@ use stiction_files::disk::SystemDisk;
 use stiction_files::lock::{FolderLock, LockError};
 use stiction_monitor::config::Config;
 use stiction_runtime::clock::Clock;
-use stiction_runtime::control::{ConfigRequest, Control};
+use stiction_runtime::control::Control;
 use stiction_runtime::faults::Faults;
 use stiction_runtime::health::{DaemonHealth, HealthSnapshot};
 use stiction_runtime::last_values::LastValues;
@@ -71,14 +70,13 @@ impl Shared {
     }
 
     /// What the server shows, and its ways to the engine and to the configuration's file.
-    pub(super) fn view(&self, origin: &str, control: Sender<Control>, requests: mpsc::Sender<ConfigRequest>) -> View {
+    pub(super) fn view(&self, origin: &str, control: Sender<Control>) -> View {
         let web = &self.current.get().web;
         View {
             config: self.current.clone(),
             overview: (web.enabled && web.page.enabled).then(|| self.overview.clone()),
             last: self.last.clone(),
             control,
-            ask_config: Arc::new(move |request| requests.try_send(request).is_ok()),
             snapshot: self.snapshot.clone(),
             faults: self.faults.clone(),
             note: (origin == "demo").then_some(SIMULATED),

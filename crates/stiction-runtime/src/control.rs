@@ -58,28 +58,6 @@ pub enum Control {
     },
 }
 
-/// What somebody asks of a running daemon's configuration.
-pub enum ConfigWish {
-    /// Take over what changed in its file.
-    Reload,
-    /// Say what differs in this text, and change nothing.
-    Compare(String),
-}
-
-/// Gets what differs, or why a wish is refused.
-pub type ConfigAnswer = Box<dyn FnOnce(Result<ConfigChanges, String>) + Send>;
-
-/// A wish and where its answer goes.
-pub struct ConfigRequest {
-    /// The wish.
-    pub wish: ConfigWish,
-    /// Where the answer goes.
-    pub answer: ConfigAnswer,
-}
-
-/// Hands a request to the daemon; false where too many wait.
-pub type AskConfig = Arc<dyn Fn(ConfigRequest) -> bool + Send + Sync>;
-
 /// A configuration that a running daemon takes over.
 pub struct Edit {
     /// The configuration.

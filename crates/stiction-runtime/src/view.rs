@@ -7,7 +7,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use crossbeam_channel::Sender;
 use prometheus_client::registry::Registry;
 
-use crate::control::{AskConfig, Control};
+use crate::control::Control;
 use crate::faults::Faults;
 use crate::health::HealthSnapshot;
 use crate::last_values::LastValues;
@@ -47,8 +47,6 @@ pub struct View {
     pub last: LastValues,
     /// The way to the engine.
     pub control: Sender<Control>,
-    /// The way to the configuration's file.
-    pub ask_config: AskConfig,
     /// The daemon's health.
     pub snapshot: HealthSnapshot,
     /// Where a server says what is wrong with it.

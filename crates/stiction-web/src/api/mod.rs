@@ -1,7 +1,6 @@
 //! The API of a running daemon.
 
 mod alarms;
-mod configuration;
 mod curves;
 mod events;
 mod groups;
@@ -36,7 +35,7 @@ use stiction_files::reviews::Reviews;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::engine::LoopSettings;
 use stiction_runtime::clock::now_ns;
-use stiction_runtime::control::{Answer, AskConfig, Control, WindowSnapshot};
+use stiction_runtime::control::{Answer, Control, WindowSnapshot};
 use stiction_runtime::health::HealthSnapshot;
 use stiction_runtime::last_values::LastValues;
 use stiction_runtime::overview::Overview;
@@ -67,8 +66,6 @@ pub struct Live {
     pub last: LastValues,
     /// The way to the engine.
     pub control: Sender<Control>,
-    /// The way to the configuration's file.
-    pub ask_config: AskConfig,
     /// The daemon's health.
     pub snapshot: HealthSnapshot,
     /// What was recorded.
@@ -111,7 +108,7 @@ impl Live {
     /// Answers from a view with these loops, under these rules.
     #[must_use]
     pub fn new(view: View, overview: Overview, guard: Arc<Guard>) -> Self {
-        let View { config, last, control, ask_config, snapshot, note, .. } = view;
+        let View { config, last, control, snapshot, note, .. } = view;
         let fixed = config.get();
         let recordings = Path::new(&fixed.recording.dir);
         let archive = Arc::new(Archive::new(recordings, &fixed.site.prefix));
@@ -127,7 +124,6 @@ impl Live {
             overview,
             last,
             control,
-            ask_config,
             snapshot,
             archive,
             reviews,
@@ -249,7 +245,6 @@ pub fn operations() -> Vec<Operation<Shared>> {
         alarms::operations(),
         events::operations(),
         groups::operations(),
-        configuration::operations(),
         obstacles::operations(),
         maintenance::operations(),
     ]
