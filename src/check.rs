@@ -7,7 +7,6 @@ use serde_json::json;
 
 use super::{Format, Outcome, say};
 use stiction_daemon::sink::deliver;
-use stiction_daemon::sink::signing::Signer;
 use stiction_daemon::source::zenoh::session_config;
 use stiction_monitor::config::{Config, Fault};
 use stiction_web::guard_of;
@@ -58,18 +57,8 @@ fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
         faults.push(Fault { line, key, message, remedy: remedy.to_owned() });
     };
     if let Err(error) = session_config(config) {
-        let about = format!("{error:#}");
-        if about.contains("principals") {
-            refuse("commands", "principals", about, "see SECURITY.md, or remove the principals");
-        } else {
-            let key = if config.zenoh.config_file.is_empty() { "connect" } else { "config_file" };
-            refuse("zenoh", key, error.to_string(), "name a readable Zenoh configuration file (JSON5)");
-        }
-    }
-    if !config.signing.key_file.is_empty()
-        && let Err(error) = Signer::read(Path::new(&config.signing.key_file))
-    {
-        refuse("signing", "key_file", format!("{error:#}"), "name a private key file, or remove the key");
+        let key = if config.zenoh.config_file.is_empty() { "connect" } else { "config_file" };
+        refuse("zenoh", key, error.to_string(), "name a readable Zenoh configuration file (JSON5)");
     }
     if let Err(error) = guard_of(&config.web.page) {
         let about = format!("{error:#}");

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use anyhow::anyhow;
+use stiction_runtime::faults::without_places;
 
 /// Time limit for connecting.
 const CONNECT_WITHIN: Duration = Duration::from_secs(10);
@@ -55,8 +56,9 @@ pub async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
     }
     let session = zenoh::open(config).await.map_err(|e| {
         anyhow!(
-            "no answer from {endpoint} within {} s; check the endpoint and that a daemon or router is running there ({e})",
-            CONNECT_WITHIN.as_secs()
+            "no answer from {endpoint} within {} s; check the endpoint and that a daemon or router is running there ({})",
+            CONNECT_WITHIN.as_secs(),
+            without_places(&e.to_string())
         )
     })?;
     tokio::time::sleep(SETTLE).await;

@@ -45,10 +45,9 @@ use std::future::Future;
 use std::mem;
 use std::net::SocketAddr;
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use crossbeam_channel::{Receiver, Sender};
 use sd_notify::NotifyState;
 use tokio::task::JoinHandle;
@@ -65,7 +64,6 @@ pub use self::reload::ConfigFile;
 use self::reload::{Reload, ReloadParts};
 use self::start::{Opened, Shared, Sinks};
 use crate::sink::recorder::{RecordedConfig, RunInfo};
-use crate::sink::signing::Signer;
 use crate::source::askers::Askers;
 use crate::source::queries::Queries;
 use crate::source::replies::Replies;
@@ -116,7 +114,6 @@ pub async fn run(
 ) -> anyhow::Result<()> {
     let shared = Shared::of(&config);
     let Shared { metrics, faults, .. } = &shared;
-    let signer = signer_of(&config)?;
     signals::survive_file_size_limit();
     let hangups = signals::hangups();
     let lock = start::lock_folder(&shared.recordings, faults)?;
@@ -138,7 +135,7 @@ pub async fn run(
     let memories = mem::take(&mut restored.memories);
     let run = run_info(&config, config_text, options.origin, &daemon_id, restored.run_number);
     let run = RunInfo { continued, ..run };
-    let (mut threads, sinks) = start::threads(&config, &shared, run, (restored, lock), &session, signer.clone())?;
+    let (mut threads, sinks) = start::threads(&config, &shared, run, (restored, lock), &session)?;
     let workers = worker::start(options.workers)?;
     let waiting = workers.jobs.clone();
     let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
@@ -146,7 +143,7 @@ pub async fn run(
 
     let askers = Askers::new(&config.commands);
     let on = (&session, daemon_id.as_str());
-    let queryables = answer_queries(&config, &shared, &askers, &control, signer, on).await?;
+    let queryables = answer_queries(&config, &shared, &askers, &control, on).await?;
     let Sinks { recorder, keeper, publisher, outbox, stops } = sinks;
     let progress = recorder.progress();
     let parts = Parts {
@@ -219,21 +216,17 @@ async fn answer_queries(
     shared: &Shared,
     askers: &Askers,
     control: &Sender<Control>,
-    signer: Option<Arc<Signer>>,
     (session, daemon_id): (&zenoh::Session, &str),
 ) -> anyhow::Result<Vec<Queryable<()>>> {
     let Shared { metrics, last, .. } = shared;
-    let sign = signer.map(|signer| -> source::zenoh::Sign {
-        Arc::new(move |key: &str, document: &[u8]| signer.attachment(key, document))
-    });
-    let replies = Replies::start(askers.clone(), last.clone(), sign, metrics.clone())?;
+    let replies = Replies::start(askers.clone(), last.clone(), metrics.clone())?;
     let queries = Queries::new(config, control.clone(), (replies, askers.clone()), metrics.clone());
     queries.answer(session, daemon_id, last).await
 }
 
 /// What others on the bus see of the daemon, and what it sees of them.
 struct Presence {
-    /// The endpoints on which it listens; none where they could not be opened.
+    /// The endpoints on which it listens, or tries to.
     listening: Vec<String>,
     foreign: [Subscriber<()>; 2],
     watching: JoinHandle<()>,
@@ -252,7 +245,8 @@ impl Presence {
         let mine = (prefix.as_str(), daemon_id, config.shard);
         let foreign = presence::watch_own_keys(session, mine, faults, &shared.metrics).await?;
         let bus = source::zenoh::session_config(config)?;
-        let listening = if deaf.is_some() { Vec::new() } else { config.zenoh.listen.clone() };
+        let open = if deaf.is_some() { " (not open; retrying)" } else { "" };
+        let listening = config.zenoh.listen.iter().map(|endpoint| format!("{endpoint}{open}")).collect();
         if let Some(why) = deaf {
             let why = presence::listener_problem(&config.zenoh.listen, &why);
             faults.raise(presence::LISTENING, format!("cannot open the Zenoh listener: {why}; retrying"));
@@ -284,16 +278,6 @@ impl Presence {
         }
         let _ = self.token.undeclare().await;
     }
-}
-
-/// What signs documents, where the configuration names a key.
-fn signer_of(config: &Config) -> anyhow::Result<Option<Arc<Signer>>> {
-    if config.signing.key_file.is_empty() {
-        return Ok(None);
-    }
-    let signer = Signer::read(Path::new(&config.signing.key_file)).context("[signing] key_file")?;
-    tracing::info!(public_key = signer.public_key(), "documents are signed");
-    Ok(Some(Arc::new(signer)))
 }
 
 fn run_info(config: &Config, config_text: String, origin: &'static str, daemon_id: &str, run_number: u64) -> RunInfo {

@@ -120,7 +120,8 @@ impl Reload {
 
     async fn take_over(&mut self) -> anyhow::Result<ConfigChanges> {
         let file = self.file.as_ref().context("this daemon has no configuration file to read again")?;
-        let edit = file.edit_of(&self.current.get()).context("the changed configuration is not used, the old one holds")?;
+        let edit =
+            file.edit_of(&self.current.get()).context("the changed configuration is not used, the old one holds")?;
         let (changes, config) = (edit.changes.clone(), edit.config.clone());
         let (answer, answered) = tokio::sync::oneshot::channel();
         let answer = Box::new(move || answer.send(()).unwrap_or(()));

@@ -23,11 +23,7 @@ pub fn hangups() -> Option<Signal> {
 }
 
 /// Waits for `stop`; until then SIGHUP reads the configuration again and begins new recordings.
-pub async fn serve_until(
-    mut stop: impl Future<Output = ()> + Unpin,
-    mut hangups: Option<Signal>,
-    reload: &mut Reload,
-) {
+pub async fn serve_until(mut stop: impl Future<Output = ()> + Unpin, mut hangups: Option<Signal>, reload: &mut Reload) {
     loop {
         tokio::select! {
             () = &mut stop => return,

@@ -19,7 +19,6 @@ use super::shutdown::{self, NamedThread};
 use crate::sink::deliver::Outbox;
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
-use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
 use crate::source::shares::Shares;
 use crate::source::zenoh::Subscriptions;
@@ -188,12 +187,11 @@ pub(super) fn threads(
     run: RunInfo,
     (restored, lock): (Restored, Option<FolderLock>),
     session: &zenoh::Session,
-    signer: Option<Arc<Signer>>,
 ) -> anyhow::Result<(Vec<NamedThread>, Sinks)> {
     let Shared { current, recordings, metrics, faults, overview, last, .. } = shared;
     let (run_id, daemon_id, is_kept) = (run.run_id.clone(), run.daemon.clone(), goes_on(run.origin));
     let told = (metrics.clone(), faults.clone());
-    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), signer, told)?;
+    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), told)?;
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
     let mut threads = vec![("recorder", recording), ("publisher", publishing)];
     let prefix = &config.site.prefix;

@@ -66,6 +66,22 @@ impl Faults {
     }
 }
 
+/// A message of a library without the places in its source, such as `at /home/x/src/link.rs:388.`: they help nobody who
+/// reads it, and name folders of the machine that built the program.
+#[must_use]
+pub fn without_places(message: &str) -> String {
+    let mut words: Vec<&str> = Vec::new();
+    for word in message.split_whitespace() {
+        let is_place = word.split_once(".rs:").is_some_and(|(_, rest)| rest.starts_with(|c: char| c.is_ascii_digit()));
+        if !is_place {
+            words.push(word);
+        } else if words.last() == Some(&"at") {
+            words.pop();
+        }
+    }
+    words.join(" ").trim_end_matches('.').to_owned()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -80,5 +96,12 @@ mod tests {
         faults.clear("disk");
         faults.clear("disk");
         assert!(faults.list().is_empty());
+    }
+
+    #[test]
+    fn a_librarys_message_is_told_without_places_in_its_source() {
+        let told = "Unable to connect to any of [tcp/h:9]! at /x/net/runtime/orchestrator.rs:388. - Caused by refused at a.rs:7.";
+        assert_eq!(without_places(told), "Unable to connect to any of [tcp/h:9]! - Caused by refused");
+        assert_eq!(without_places("at tcp/h:9, see main.rs: nothing"), "at tcp/h:9, see main.rs: nothing");
     }
 }

@@ -8,11 +8,9 @@ use bytes::Bytes;
 /// Last document by key. Written by the publisher alone; never touched by the engine.
 pub type LastValues = Arc<RwLock<BTreeMap<String, LastValue>>>;
 
-/// A document and its signature, if documents are signed.
+/// A document.
 #[derive(Debug, Clone)]
 pub struct LastValue {
     /// Its JSON.
     pub document: Bytes,
-    /// What goes along with it.
-    pub attachment: Option<Bytes>,
 }

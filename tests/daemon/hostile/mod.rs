@@ -12,7 +12,6 @@ use std::time::{Duration, Instant};
 
 use crate::live::{Daemon, FAST, PREFIX, alarm_state, ask, http, plane, request, sticking, wait_for};
 use serde_json::Value;
-use stiction_daemon::sink::signing::{Signature, Signer};
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 
@@ -91,34 +90,6 @@ fn strangers_are_answered_logged_and_bounded() {
     assert_eq!(alarm_state(&bus), "unack");
     let log = daemon.logged();
     assert!(log.contains("refused") && !log.contains('\u{1b}') && !log.contains('\u{7}'), "{log}");
-    bus.close().wait().unwrap();
-    daemon.stop();
-}
-
-#[test]
-fn a_consumer_can_tell_signed_documents_from_forged_ones() {
-    let dir = tempfile::tempdir().unwrap();
-    let key = dir.path().join("signing.der");
-    // PKCS#8 around a seed, as openssl writes it.
-    let head = [0x30, 0x2e, 2, 1, 0, 0x30, 5, 6, 3, 0x2b, 0x65, 0x70, 4, 0x22, 4, 0x20];
-    std::fs::write(&key, [&head[..], &[9; 32]].concat()).unwrap();
-    let public = Signer::read(&key).unwrap().public_key();
-    let extra = format!("{FAST}[signing]\nkey_file = {:?}\n", key.to_str().unwrap());
-    let daemon = Daemon::start(dir.path(), &extra);
-    assert!(daemon.logged().contains(&public));
-    daemon.play(&sticking(dir.path()));
-    daemon.wait_for_estimates(6);
-    let bus = daemon.session();
-    let signed = |selector: &str| {
-        let replies = bus.get(plane(selector)).wait().unwrap();
-        let sample = replies.recv().unwrap().into_result().unwrap();
-        let attachment = sample.attachment().expect("a signature").to_bytes().to_vec();
-        let signature: Signature = serde_json::from_slice(&attachment).unwrap();
-        let document = sample.payload().to_bytes().to_vec();
-        assert!(!signature.holds(&public, sample.key_expr().as_str(), b"{}"));
-        signature.holds(&public, sample.key_expr().as_str(), &document)
-    };
-    assert!(signed("FIC101/estimate") && signed("FIC101/alarm") && signed("FIC101/alarm?cmd=ack;by=ann"));
     bus.close().wait().unwrap();
     daemon.stop();
 }

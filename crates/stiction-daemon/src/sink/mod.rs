@@ -3,5 +3,4 @@
 pub mod deliver;
 pub mod keeper;
 pub mod recorder;
-pub mod signing;
 pub mod zenoh;

@@ -16,7 +16,6 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use zenoh::Wait;
 use zenoh::qos::{CongestionControl, Priority};
 
-use crate::sink::signing::Signer;
 use crate::source::zenoh::{NOT_TAKEN, encoding_of};
 use stiction_monitor::codec::topic::Kind;
 use stiction_runtime::faults::Faults;
@@ -92,11 +91,10 @@ impl Publisher {
     pub fn start(
         session: zenoh::Session,
         last: LastValues,
-        signer: Option<Arc<Signer>>,
         (metrics, faults): (Arc<Metrics>, Arc<Faults>),
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
         let (publisher, mut outgoing) = Self::pair(metrics.clone());
-        let mut bus = Bus { session, last, signer, metrics, faults, behind_at: None, again: VecDeque::new() };
+        let mut bus = Bus { session, last, metrics, faults, behind_at: None, again: VecDeque::new() };
         let thread = std::thread::Builder::new().name("publish".into());
         let handle = thread.spawn(move || bus.publish_all(&mut outgoing))?;
         Ok((publisher, handle))
@@ -197,7 +195,6 @@ impl Outgoing {
 struct Bus {
     session: zenoh::Session,
     last: LastValues,
-    signer: Option<Arc<Signer>>,
     metrics: Arc<Metrics>,
     faults: Arc<Faults>,
     /// When a document last met a reader without room.
@@ -224,8 +221,7 @@ impl Bus {
             self.last.write().unwrap_or_else(PoisonError::into_inner).remove(&key);
             return;
         };
-        let attachment = self.signer.as_ref().map(|signer| signer.attachment(&key, &document).into());
-        let value = LastValue { document: document.into(), attachment };
+        let value = LastValue { document: document.into() };
         self.last.write().unwrap_or_else(PoisonError::into_inner).insert(key.clone(), value.clone());
         if !self.put(&key, kind, value) && kind == Kind::Alarm {
             self.put_off(key, 0);
@@ -239,7 +235,7 @@ impl Bus {
             Kind::Health => (Priority::Background, CongestionControl::Drop),
             _ => (Priority::Data, CongestionControl::Drop),
         };
-        let put = self.session.put(key, value.document).encoding(encoding_of(key)).attachment(value.attachment);
+        let put = self.session.put(key, value.document).encoding(encoding_of(key));
         let begun = Instant::now();
         if let Err(error) = put.priority(priority).congestion_control(congestion).wait() {
             self.metrics.dropped_output.inc();

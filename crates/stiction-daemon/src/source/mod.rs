@@ -4,7 +4,6 @@ pub mod askers;
 pub mod keys;
 pub mod message_buf;
 pub mod presence;
-pub mod principals;
 pub mod queries;
 pub mod replies;
 pub mod shares;

@@ -10,7 +10,7 @@ use zenoh::sample::{Locality, Sample as BusSample};
 use stiction_monitor::codec::topic::{self, Topic};
 use stiction_monitor::shard::Shard;
 use stiction_runtime::clock::now_ns;
-use stiction_runtime::faults::Faults;
+use stiction_runtime::faults::{Faults, without_places};
 use stiction_runtime::metrics::Metrics;
 
 /// Name of the fault while the session cannot listen.
@@ -60,7 +60,7 @@ pub async fn watch(
 pub fn listener_problem(listen: &[String], error: &str) -> String {
     match error.contains("in use") {
         true => format!("{} is taken (is another stictiond running?)", listen.join(", ")),
-        false => error.to_owned(),
+        false => without_places(error),
     }
 }
 

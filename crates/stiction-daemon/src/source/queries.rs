@@ -60,7 +60,7 @@ impl Queries {
     ) -> anyhow::Result<Vec<Queryable<()>>> {
         for (name, schema) in documents::schemas() {
             let key = topic::plane(&self.prefix, &format!("@schema/{name}"));
-            let value = LastValue { document: documents::text(&schema).into(), attachment: None };
+            let value = LastValue { document: documents::text(&schema).into() };
             last.write().unwrap_or_else(PoisonError::into_inner).insert(key, value);
         }
         let mut queryables = Vec::new();

@@ -17,7 +17,7 @@ use zenoh::key_expr::keyexpr;
 use zenoh::query::Query;
 
 use super::askers::{Askers, Link, WaitingSlot};
-use super::zenoh::{Sign, encoding_of};
+use super::zenoh::encoding_of;
 use stiction_runtime::last_values::{LastValue, LastValues};
 use stiction_runtime::metrics::Metrics;
 use stiction_runtime::queue::{Budget, Room};
@@ -71,7 +71,7 @@ impl Outlet for Query {
     }
 
     fn document(&self, key: &str, value: LastValue) {
-        let reply = self.reply(key, value.document).encoding(encoding_of(key)).attachment(value.attachment);
+        let reply = self.reply(key, value.document).encoding(encoding_of(key));
         if let Err(error) = reply.wait() {
             tracing::debug!(%key, %error, "a reply could not be sent");
         }
@@ -103,18 +103,18 @@ pub struct PendingQuery {
 }
 
 impl Replies {
-    /// Answers from these last documents, signed by this.
+    /// Answers from these last documents.
     ///
     /// # Errors
     /// The system refuses a thread.
-    pub fn start(askers: Askers, last: LastValues, sign: Option<Sign>, metrics: Arc<Metrics>) -> std::io::Result<Self> {
+    pub fn start(askers: Askers, last: LastValues, metrics: Arc<Metrics>) -> std::io::Result<Self> {
         let (surplus, refused) = crossbeam_channel::bounded::<(Query, Room)>(SURPLUS);
         std::thread::Builder::new().name("refusals".into()).spawn(move || {
             for (query, _room) in refused {
                 query.refusal("too many queries wait for their answers: read those, then try again");
             }
         })?;
-        let pool = Pool::new(last, sign, metrics.clone());
+        let pool = Pool::new(last, metrics.clone());
         Ok(Self { pool, surplus, askers, budgets: [WAITING_BYTES, SURPLUS_BYTES].map(Budget::new), metrics })
     }
 
@@ -255,7 +255,7 @@ struct Job<O> {
 
 impl<O: Outlet> Job<O> {
     /// Sends some of it; gives it back where there is more.
-    fn serve(mut self, last: &LastValues, sign: Option<&Sign>, metrics: &Metrics) -> Option<Self> {
+    fn serve(mut self, last: &LastValues, metrics: &Metrics) -> Option<Self> {
         let begun = *self.begun.get_or_insert_with(Instant::now);
         match &mut self.left {
             Left::Nothing => None,
@@ -266,8 +266,7 @@ impl<O: Outlet> Job<O> {
             Left::Document(json) => {
                 let document = std::mem::take(json);
                 let key = self.outlet.asked();
-                let attachment = sign.map(|sign| sign(key.as_str(), &document).into());
-                self.outlet.document(key.as_str(), LastValue { document: document.into(), attachment });
+                self.outlet.document(key.as_str(), LastValue { document: document.into() });
                 None
             }
             Left::Last(_) if begun.elapsed() > QUERY_WITHIN => {
@@ -318,7 +317,6 @@ struct Shared<O> {
     state: Mutex<State<O>>,
     wake: Condvar,
     last: LastValues,
-    sign: Option<Sign>,
     metrics: Arc<Metrics>,
 }
 
@@ -332,9 +330,9 @@ impl<O> Clone for Pool<O> {
 }
 
 impl<O: Outlet + Send + 'static> Pool<O> {
-    fn new(last: LastValues, sign: Option<Sign>, metrics: Arc<Metrics>) -> Self {
+    fn new(last: LastValues, metrics: Arc<Metrics>) -> Self {
         let state = State { lanes: HashMap::new(), ready: VecDeque::new(), threads: 0, idle: 0 };
-        Self(Arc::new(Shared { state: Mutex::new(state), wake: Condvar::new(), last, sign, metrics }))
+        Self(Arc::new(Shared { state: Mutex::new(state), wake: Condvar::new(), last, metrics }))
     }
 
     fn lock(&self) -> MutexGuard<'_, State<O>> {
@@ -369,7 +367,7 @@ impl<O: Outlet + Send + 'static> Pool<O> {
     fn work(&self) {
         while let Some((link, job)) = self.next() {
             let begun = Instant::now();
-            let more = job.serve(&self.0.last, self.0.sign.as_ref(), &self.0.metrics);
+            let more = job.serve(&self.0.last, &self.0.metrics);
             let given_up = self.served(link, more, begun.elapsed() >= STUCK);
             self.0.metrics.queries_dropped.inc_by(given_up.len() as u64);
         }

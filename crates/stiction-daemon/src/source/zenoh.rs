@@ -16,7 +16,7 @@ use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample as BusSample, SampleKind};
 
 use super::keys::{ShardFilter, subscriptions};
-use super::{Envelope, Intake, principals};
+use super::{Envelope, Intake};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
 
@@ -26,9 +26,6 @@ const MAX_MESSAGE: usize = 4 << 20;
 
 /// What the encoding of a schema names as its own.
 const SCHEMA: &str = "https://json-schema.org/draft/2020-12/schema";
-
-/// What attaches a signature to a document under a key.
-pub type Sign = Arc<dyn Fn(&str, &[u8]) -> Vec<u8> + Send + Sync>;
 
 /// How long Zenoh waits for a reader that has no room before it drops a document for it: what took less met none.
 pub const NOT_TAKEN: Duration = Duration::from_millis(10);
@@ -93,8 +90,6 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     if !z.connect.is_empty() {
         set("connect/endpoints", serde_json::to_string(&z.connect)?)?;
     }
-    principals::limit(&mut session, &config.site.prefix, &config.commands.principals)
-        .context("[commands] principals")?;
     Ok(session)
 }
 

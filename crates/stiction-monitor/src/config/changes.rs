@@ -167,7 +167,6 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
     }
     for (key, table) in [
         ("commands", serde_json::to_value(&config.commands)),
-        ("signing", serde_json::to_value(&config.signing)),
         ("retention", serde_json::to_value(config.retention)),
         ("gap", serde_json::to_value(config.gap)),
         ("plant", serde_json::to_value(config.plant)),
@@ -279,20 +278,12 @@ mod tests {
 
     #[test]
     fn settings_outside_loops_are_taken_over_or_need_a_restart() {
-        let text = "[web]\npage = false\n[commands]\nper_minute = 7\nprincipals = [\"user:ann\"]\n[recording]\nmax_s = 9\n\
+        let text = "[web]\npage = false\n[commands]\nper_minute = 7\n[recording]\nmax_s = 9\n\
                     raw = \"columns\"\n[plant]\ngroups = false\n[input]\nmax_loops = 7\n[retention]\nraw_days = 3\n[summary]\nat = \"05:30\"\n\
                     [[bundle]]\nkey = \"gw/**\"\n[shard]\nindex = 0\ncount = 2\n";
         let found = changes("", text);
         assert_eq!(found.settings, ["commands.per_minute", "recording.max_s", "retention.raw_days", "summary.at"]);
-        let restart = [
-            "bundle",
-            "commands.principals",
-            "input.max_loops",
-            "plant.groups",
-            "recording.raw",
-            "shard.count",
-            "web.page",
-        ];
+        let restart = ["bundle", "input.max_loops", "plant.groups", "recording.raw", "shard.count", "web.page"];
         assert_eq!(found.restart, restart);
         let refusal = found.refusal().unwrap();
         assert!(refusal.contains("web.page") && refusal.contains("restart the daemon"), "{refusal}");

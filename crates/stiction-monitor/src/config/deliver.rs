@@ -163,6 +163,7 @@ fn read_deliver(r: &mut TableReader<'_, '_>) -> Option<Deliver> {
     }
     let [secret_file, ca_file, cert_file, key_file] = ["secret_file", "ca_file", "cert_file", "key_file"]
         .map(|key| r.text(key).map(|(text, _)| text).filter(|text| !text.is_empty()));
+    r.gone("user", "remove it; a webhook sends the content of secret_file as its token");
     let queue = r.integer("queue", QUEUE, 10, 1_000_000) as usize;
     if cert_file.is_some() != key_file.is_some() {
         r.refuse(line, "cert_file", "needs key_file", "write both or neither");
@@ -189,7 +190,9 @@ mod tests {
         assert_eq!(of("mqtt://10.0.0.1:1884/plant/", "mqtt"), (false, "10.0.0.1".into(), 1884, "plant".into()));
         assert_eq!(of("http://[::1]", "http"), (false, "::1".into(), 80, String::new()));
         assert_eq!(of("mqtts://[fe80::1]:6514", "mqtt"), (true, "fe80::1".into(), 6514, String::new()));
-        for bad in ["cmms.plant", "ftp://h", "mqtt://h", "http://", "http://h:x", "http://h:0", "http://u:p@h/", "http://a b"] {
+        for bad in
+            ["cmms.plant", "ftp://h", "mqtt://h", "http://", "http://h:x", "http://h:0", "http://u:p@h/", "http://a b"]
+        {
             assert!(Address::parse(bad, "http", [80, 443]).is_err(), "{bad}");
         }
     }

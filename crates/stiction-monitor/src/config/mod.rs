@@ -23,7 +23,7 @@ pub use loops::Action;
 pub use reader::Fault;
 use reader::{Lines, TableReader, subtable, syntax_fault};
 pub use scale::{Daemon, is_id};
-pub use service::{Commands, Plant, Retention, Signing, Summary};
+pub use service::{Commands, Plant, Retention, Summary};
 
 use crate::alarm::AlarmParams;
 use crate::engine::{GapParams, WindowParams};
@@ -39,7 +39,7 @@ fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
 }
 
 /// Tables that occur once.
-const TABLES: [&str; 15] = [
+const TABLES: [&str; 14] = [
     "site",
     "zenoh",
     "input",
@@ -49,7 +49,6 @@ const TABLES: [&str; 15] = [
     "recording",
     "retention",
     "commands",
-    "signing",
     "web",
     "daemon",
     "shard",
@@ -81,9 +80,6 @@ pub struct Config {
     /// Accepted commands.
     #[serde(skip_serializing_if = "is_default")]
     pub commands: Commands,
-    /// Signatures on documents.
-    #[serde(skip_serializing_if = "is_default")]
-    pub signing: Signing,
     /// Metrics, health and the page over HTTP.
     pub web: Web,
     /// Identity of this daemon. Like the next not part of [`Config::hash`], because it changes no answer.
@@ -263,7 +259,6 @@ impl Config {
             recording,
             retention,
             commands,
-            signing,
             web,
             daemon,
             shard,
@@ -290,7 +285,6 @@ impl Config {
             recording: read!(recording, read_recording),
             retention: read!(retention, service::read_retention),
             commands: read!(commands, service::read_commands),
-            signing: read!(signing, service::read_signing),
             web: read!(web, read_web),
             daemon: read!(daemon, scale::read_daemon),
             shard: read!(shard, scale::read_shard),
@@ -300,7 +294,7 @@ impl Config {
             bundles: bundle::read_bundles(lines, root, faults),
             loops: loops::read_loops(lines, root, window, alarm, faults),
         };
-        faults.extend(scale::refuse_cluster(lines, root));
+        faults.extend(GONE.iter().filter_map(|(key, remedy)| refuse_gone(lines, root, key, remedy)));
         faults.extend(deliver::never_made(lines, root, &config.summary, &config.deliver));
         faults.extend(input::too_few_places(lines, root, config.input.max_loops, config.loops.len()));
         config
@@ -330,10 +324,27 @@ impl Config {
     }
 }
 
+/// Tables that no longer exist, and what replaces them.
+const GONE: [(&str, &str); 2] = [
+    ("cluster", "give each daemon a fixed part of the loops with [shard], and let systemd or Kubernetes restart it"),
+    ("signing", "let Zenoh's TLS and access control decide who writes these keys (config/hardened-router.json5)"),
+];
+
+fn refuse_gone(lines: &Lines, root: &DeTable<'_>, table: &str, remedy: &str) -> Option<Fault> {
+    let (key, _) = root.iter().find(|(key, _)| key.get_ref() == table)?;
+    Some(Fault {
+        line: lines.of(key.span().start),
+        key: table.to_owned(),
+        message: format!("[{table}] no longer exists"),
+        remedy: remedy.to_owned(),
+    })
+}
+
 fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
     let known = [&TABLES[..], &["deliver", "bundle", "loop"]].concat();
-    for (key, _) in
-        root.iter().filter(|(k, _)| k.get_ref() != "cluster" && !known.iter().any(|known| known == k.get_ref()))
+    for (key, _) in root
+        .iter()
+        .filter(|(k, _)| !known.iter().chain(GONE.iter().map(|(gone, _)| gone)).any(|known| known == k.get_ref()))
     {
         faults.push(Fault {
             line: lines.of(key.span().start),

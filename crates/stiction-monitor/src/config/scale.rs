@@ -1,9 +1,7 @@
 //! Several daemons on one plant: the identity of this one, and which loops it watches. Not part of the hash, because every
 //! daemon gives the same answer for a window.
 
-use toml::de::DeTable;
-
-use super::reader::{Fault, Lines, TableReader};
+use super::reader::TableReader;
 use crate::shard::Shard;
 
 /// `[daemon]`.
@@ -38,18 +36,6 @@ pub(super) fn read_shard(r: &mut TableReader<'_, '_>) -> Shard {
     })
 }
 
-/// A fault for `[cluster]`, which earlier builds had.
-pub(super) fn refuse_cluster(lines: &Lines, root: &DeTable<'_>) -> Option<Fault> {
-    let (key, _) = root.iter().find(|(key, _)| key.get_ref() == "cluster")?;
-    Some(Fault {
-        line: lines.of(key.span().start),
-        key: "cluster".to_owned(),
-        message: "[cluster] no longer exists: daemons do not take over each other's loops".to_owned(),
-        remedy: "give each daemon a fixed part of the loops with [shard], and let systemd or Kubernetes restart it"
-            .to_owned(),
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -65,6 +51,8 @@ mod tests {
             ("[daemon]\nid = \"a/b\"\n", "daemon.id"),
             ("[shard]\nindex = 3\ncount = 3\n", "shard.index"),
             ("[cluster]\nname = \"line1\"\nlease_s = 2.0\n", "cluster"),
+            ("[signing]\nkey_file = \"k\"\n", "signing"),
+            ("[commands]\nprincipals = []\n", "commands.principals"),
         ] {
             let faults = of(wrong).unwrap_err();
             assert_eq!(faults.iter().map(|fault| fault.key.as_str()).collect::<Vec<_>>(), [key]);

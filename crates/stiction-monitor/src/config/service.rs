@@ -26,8 +26,6 @@ pub struct Commands {
     pub per_minute: u32,
     /// Requested gap diagnoses per hour.
     pub runs_per_hour: u32,
-    /// Who may send commands, as `cn:NAME` of a certificate or `user:NAME`; empty: anyone who reaches the daemon.
-    pub principals: Vec<String>,
 }
 
 /// `[plant]`.
@@ -64,13 +62,6 @@ fn seconds_of_day(text: &str) -> Option<f64> {
     Some(f64::from(3600 * number(hours, 23)? + 60 * number(minutes, 59)?))
 }
 
-/// `[signing]`.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct Signing {
-    /// File with the private key; empty: documents are not signed.
-    pub key_file: String,
-}
-
 impl Default for Retention {
     fn default() -> Self {
         Self { raw_days: 60.0, raw_bytes: 100 << 30, results_days: 3660.0, results_bytes: 20 << 30 }
@@ -91,7 +82,7 @@ impl Default for Summary {
 
 impl Default for Commands {
     fn default() -> Self {
-        Self { enabled: true, per_minute: 300, runs_per_hour: 60, principals: Vec::new() }
+        Self { enabled: true, per_minute: 300, runs_per_hour: 60 }
     }
 }
 
@@ -119,10 +110,6 @@ pub(super) fn read_summary(r: &mut TableReader<'_, '_>) -> Summary {
     Summary { every_s, at }
 }
 
-pub(super) fn read_signing(r: &mut TableReader<'_, '_>) -> Signing {
-    Signing { key_file: r.text("key_file").map(|(t, _)| t).unwrap_or_default() }
-}
-
 pub(super) fn read_retention(r: &mut TableReader<'_, '_>) -> Retention {
     let d = Retention::default();
     let (century_days, most) = (36_525.0, 1 << 50);
@@ -136,18 +123,10 @@ pub(super) fn read_retention(r: &mut TableReader<'_, '_>) -> Retention {
 
 pub(super) fn read_commands(r: &mut TableReader<'_, '_>) -> Commands {
     let d = Commands::default();
-    let principals = r.texts("principals");
-    for (name, line) in &principals {
-        let named = ["cn:", "user:"].iter().any(|kind| name.strip_prefix(kind).is_some_and(|n| !n.trim().is_empty()));
-        if !named {
-            let remedy = "write \"cn:NAME\" for a certificate's common name, or \"user:NAME\"";
-            r.refuse(*line, "principals", format!("{name:?} is not a principal"), remedy);
-        }
-    }
+    r.gone("principals", "let Zenoh's access control decide who may query (config/hardened-router.json5, SECURITY.md)");
     Commands {
         enabled: r.boolean("enabled", d.enabled),
         per_minute: r.integer("per_minute", d.per_minute.into(), 1, 100_000) as u32,
         runs_per_hour: r.integer("runs_per_hour", d.runs_per_hour.into(), 0, 100_000) as u32,
-        principals: principals.into_iter().map(|(name, _)| name).collect(),
     }
 }

@@ -54,9 +54,9 @@ struct Bench {
 impl Bench {
     fn new(documents: usize) -> Self {
         let last = LastValues::default();
-        let value = |k: usize| LastValue { document: k.to_string().into(), attachment: None };
+        let value = |k: usize| LastValue { document: k.to_string().into() };
         last.write().unwrap().extend((0..documents).map(|k| (format!("p/@stiction/v1/L{k:05}/alarm"), value(k))));
-        let pool = Pool::new(last.clone(), None, Arc::default());
+        let pool = Pool::new(last.clone(), Arc::default());
         Self { pool, askers: Askers::new(&Commands::default()), last }
     }
 
