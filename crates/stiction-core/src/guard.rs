@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::units::{duration, number};
+use crate::people::{about, size};
 
 /// Longest test that operations can give a loop away for, s: a shift.
 pub const SHIFT_S: f64 = 8.0 * 3_600.0;
@@ -36,10 +36,10 @@ impl Excess {
         match self {
             Self::Travel(travel, span) => format!(
                 "it would move PV by {} PV units, and PV moved over {} in this record",
-                number(*travel),
-                number(*span)
+                size(*travel),
+                size(*span)
             ),
-            Self::Duration(total_s) => format!("it would take {}, longer than a shift", duration(*total_s)),
+            Self::Duration(total_s) => format!("it would take {}, longer than a shift", about(*total_s)),
         }
     }
 }

@@ -27,6 +27,7 @@ pub mod guard;
 pub mod ident;
 pub mod optim;
 pub mod over_time;
+pub mod people;
 pub mod plantwide;
 pub mod record;
 pub mod repair;

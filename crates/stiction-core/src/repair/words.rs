@@ -2,14 +2,13 @@
 
 use super::plant::Known;
 use super::{Case, Figure, Repair, RepairParams};
+use crate::people::size;
 use crate::units::number;
 use crate::verdict::Assessment;
 
 /// PV's spread over that of now within these is hardly a change.
 const HARDLY: [f64; 2] = [0.85, 1.15];
 
-/// Digits of what was simulated.
-const DIGITS: f64 = 2.0;
 /// Ends of an interval so many times apart leave its middle without meaning.
 const WIDE: f64 = 3.0;
 
@@ -34,23 +33,13 @@ fn change(ratio: &Figure) -> Change {
     }
 }
 
-/// A number with as many digits as it is worth.
-fn short(value: f64) -> String {
-    let size = value.abs();
-    if !size.is_normal() {
-        return number(value);
-    }
-    let unit = libm::pow(10.0, libm::floor(libm::log10(size)) + 1.0 - DIGITS);
-    number((value / unit).round() * unit)
-}
-
 /// A number with its interval; the interval alone where its ends are so far apart that the middle says nothing.
 fn said(f: &Figure) -> String {
     let [low, high] = f.interval;
     if high > WIDE * low {
-        return format!("{} to {}", short(low), short(high));
+        return format!("{} to {}", size(low), size(high));
     }
-    format!("{} ({} to {})", short(f.value), short(low), short(high))
+    format!("{} ({} to {})", size(f.value), size(low), size(high))
 }
 
 /// What is to be said.
@@ -59,7 +48,7 @@ pub(super) fn sentences(told: &Repair, a: &Assessment) -> Vec<String> {
     let mut out = vec![format!(
         "Simulated as it is now, PV has a standard deviation of {} PV units; the record has {}.",
         said(&now.pv_sd),
-        short(told.recorded_pv_sd)
+        size(told.recorded_pv_sd)
     )];
     if a.stiction == Some(false) {
         out.push("No sign of stiction was found, so the effect of a valve repair was not simulated.".to_owned());
@@ -87,8 +76,8 @@ pub(super) fn sentences(told: &Repair, a: &Assessment) -> Vec<String> {
 }
 
 fn effect(lead: &str, case: &Case, now: &Case) -> String {
-    let (to, from) = (said(&case.pv_sd), short(now.pv_sd.value));
-    let percent = |x: f64| short(100.0 * (x - 1.0).abs());
+    let (to, from) = (said(&case.pv_sd), size(now.pv_sd.value));
+    let percent = |x: f64| size(100.0 * (x - 1.0).abs());
     let would = format!("{lead} PV would vary by {to} instead of {from} PV units");
     let [low, high] = case.pv_sd_ratio.interval.map(percent);
     match change(&case.pv_sd_ratio) {
@@ -102,7 +91,7 @@ fn effect(lead: &str, case: &Case, now: &Case) -> String {
 /// What the stem does, as far as that is known well enough to be told.
 fn valve(case: &Case, now: &Case) -> String {
     let less = |of: fn(&Case) -> Figure| of(case).interval[1] < of(now).value;
-    let told = |of: fn(&Case) -> Figure| format!("{} instead of {}", said(&of(case)), short(of(now).value));
+    let told = |of: fn(&Case) -> Figure| format!("{} instead of {}", said(&of(case)), size(of(now).value));
     match (less(|c| c.travel_per_day), less(|c| c.reversals_per_day)) {
         (true, true) => format!(
             "The stem would travel {} OP units a day and reverse {} times.",

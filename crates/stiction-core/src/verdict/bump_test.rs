@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use super::Assessment;
 use crate::guard::{self, Excess, PV_SPANS};
+use crate::people::{about, at_least, op_step, size};
 use crate::sim::process::{separated, series_weights};
-use crate::units::{duration, number};
+use crate::units::number;
 
 /// Steps as shares of s, finest first: a coarser one where noise hides the finer.
 const SHARES: [f64; 3] = [0.25, 1.0 / 3.0, 0.5];
@@ -137,9 +138,10 @@ impl BumpTest {
     /// The test as an instruction to a person, a step an item.
     #[must_use]
     pub fn steps(&self, op_unit: &str) -> Vec<String> {
-        let [step, half, s] = [self.step_op, 0.5 * self.step_op, self.s].map(number);
-        let [hold, settle, total] = [self.hold_s, self.settle_s, self.total_s].map(duration);
-        let [moved, travel, limit] = [self.moved_pv, self.travel_pv, self.limit_pv].map(number);
+        let step_op = op_step(self.step_op);
+        let [step, half] = [step_op, 0.5 * step_op].map(number);
+        let ([hold, settle], total) = ([self.hold_s, self.settle_s].map(at_least), about(self.total_s));
+        let [moved, travel, limit, s] = [self.moved_pv, self.travel_pv, self.limit_pv, self.s].map(size);
         vec![
             format!(
                 "Agree with operations on about {total} in manual. PV is expected to move by about {travel} PV units. Check \
@@ -178,10 +180,10 @@ impl BumpTest {
         format!(
             "Bump test, with operations' consent and the controller in manual: step OP by {} {op_unit} one way until PV moves, \
              reverse until it moves, and count the steps (about {}; PV moves by about {} PV units; stop if it goes further than {}).",
-            number(self.step_op),
-            duration(self.total_s),
-            number(self.travel_pv),
-            number(self.limit_pv)
+            number(op_step(self.step_op)),
+            about(self.total_s),
+            size(self.travel_pv),
+            size(self.limit_pv)
         )
     }
 }
@@ -199,8 +201,8 @@ impl Refusal {
             Self::Integrating => "the process integrates, so PV does not settle in manual".to_owned(),
             Self::Noise(noise, gives) => format!(
                 "noise and disturbances of PV ({} PV units) hide what a step gives (at most {} PV units)",
-                number(*noise),
-                number(*gives)
+                size(*noise),
+                size(*gives)
             ),
             Self::TooMuch(excess) => excess.words(),
         }
@@ -255,6 +257,8 @@ mod tests {
         assert_eq!([t.band([4, 4]), t.band([5, 5]), t.band([1, 1])], [6.5, 8.5, 0.5]);
         assert!(t.band([1, 2]) < t.detects());
         let words = t.steps("%").join(" ");
+        // Rounded up, so that PV has the time that it needs.
+        assert!(words.contains("for 40 s") && words.contains("wait 90 s"), "{words}");
         assert!(words.contains("by 2 %") && words.contains("n1 + n2 - 1.5") && words.contains("interlock"), "{words}");
     }
 

@@ -1,7 +1,8 @@
 //! An estimate in words that a planner can act on.
 
 use crate::ident::region::Size;
-use crate::units::{duration, number, probability};
+use crate::people;
+use crate::units::{number, probability};
 use crate::verdict::action::{self, Action};
 use crate::verdict::assess::WHOLE_SWING;
 use crate::verdict::features::OF_THE_FIT;
@@ -371,7 +372,7 @@ pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
     if a.gates.contains(&Gate::TooCoarse)
         && let Some(period) = a.oscillation.period_s
     {
-        out.push(format!("a reliable band: it needs a sample every {} or faster", duration(period / 50.0)));
+        out.push(format!("a reliable band: it needs a sample every {} or faster", people::at_most(period / 50.0)));
     }
     if a.s.is_some() && op_range.is_none() {
         out.push(

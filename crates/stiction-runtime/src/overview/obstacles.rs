@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::expected::{Awaited, Expected};
 use super::{Entry, Loops, Overview, SharePoint};
+use stiction_core::people;
 use stiction_core::units::{duration, ms_from_ns};
 use stiction_core::verdict::action::better_data;
 use stiction_core::verdict::{AssessParams, Assessment, Gate, Verdict, words};
@@ -156,8 +157,11 @@ fn limit_of(a: &Assessment) -> Option<Limit> {
 fn remedy(limit: Limit, a: &Assessment, needed: f64) -> String {
     match (limit.kind, a.oscillation.period_s) {
         (ObstacleKind::TooSlow, Some(period_s)) => {
-            let (now, then) = (duration(a.window.ts_s), duration(period_s / needed));
-            format!("record every {then} instead of every {now}: {needed} samples a period of {}", duration(period_s))
+            let (now, then) = (duration(a.window.ts_s), people::at_most(period_s / needed));
+            format!(
+                "record every {then} instead of every {now}: {needed} samples a period of {}",
+                people::about(period_s)
+            )
         }
         (ObstacleKind::Compressed, _) => {
             "set the compression and exception deviations of OP and PV to 0 in the historian, or \

@@ -17,6 +17,7 @@ export function setZone(name) {
 export const timeZone = () => zone;
 
 const plain = new Intl.NumberFormat("en-GB", { maximumSignificantDigits: 3 });
+const two = new Intl.NumberFormat("en-GB", { maximumSignificantDigits: 2 });
 const whole = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
 const NONE = "–";
 
@@ -29,6 +30,9 @@ export function number(v) {
   if (size !== 0 && (size < 1e-3 || size >= 1e7)) return v.toExponential(1).replace("e-", "e−").replace("e+", "e");
   return plain.format(v).replace("-", "−");
 }
+
+/** Two digits: what was simulated is worth no more. */
+export const rough = (v) => (missing(v) ? NONE : two.format(v).replace("-", "−"));
 
 /** A measured value at a cursor: as many digits as tell neighbours apart within `span`. */
 export function reading(v, span) {

@@ -28,7 +28,12 @@ export function repair(root, loop) {
   };
   // A range far beyond what the loop does now has no meaning.
   const vague = (item, now) => now && item.interval[1] > 3 * Math.max(now.value, item.value);
-  const cell = (item, now) => figureCell(!item ? ["–", ""] : vague(item, now) ? ["not known", ""] : format.parts(item.value, item.interval));
+  // The same digits as in the sentences above the table.
+  const told = ({ value, interval: [low, high] }) => {
+    const range = `${format.rough(low)} to ${format.rough(high)}`;
+    return high > 3 * low ? [range, ""] : [format.rough(value), range];
+  };
+  const cell = (item, now) => figureCell(!item ? ["–", ""] : vague(item, now) ? ["not known", ""] : told(item));
   const show = (answer) => fill(root,
     answer.sentences.map((t) => h("p", { class: "lead" }, t)),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Benefit of a repair, table" }, h("table", { class: "table" },
