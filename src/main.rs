@@ -38,9 +38,11 @@ pub mod convert;
 pub mod demo;
 pub mod discover;
 pub mod evaluate;
+mod expect;
 mod fleet;
 pub mod gap;
 pub mod info;
+mod judge;
 pub mod manual;
 mod plant;
 pub mod play;
@@ -61,7 +63,7 @@ use clap::{Parser, Subcommand};
 use stiction_command::other::{OtherProgram, RestArgs};
 use stiction_command::{
     Format, Outcome, OutputArgs, UsageError, asked_to_stop, bar_of, block_on, exit_code, in_order_on_all_cores, list,
-    log, note, on_all_cores, parse, print, say, stop, warn,
+    log, note, on_all_cores, parse, print, put, say, stop, warn,
 };
 
 /// The program of challenges and calibrations.

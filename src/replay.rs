@@ -17,10 +17,12 @@ use stiction_monitor::codec::topic::{self, Kind};
 /// Re-run the engine on a recording or a folder of recordings.
 ///
 /// With --verify, compare every estimate, alarm and gap byte for byte with the recorded one. Exit 1 on the first
-/// difference; exit 2 if another version made the file or its configuration reads differently now.
+/// difference; exit 2 if another version made the file or its configuration reads differently now. With --config, judge the
+/// samples under another configuration, beside the recorded one, and print which alarms and verdicts that changes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond replay recordings/demo --verify
+  stictiond replay recordings/demo --config new.toml
   stictiond replay recordings/sticking.mcap --format json")]
 pub struct Args {
     /// Recording, or folder of recordings.
@@ -28,6 +30,10 @@ pub struct Args {
     /// Compare the results with the recorded ones.
     #[arg(long)]
     pub verify: bool,
+    /// Judge the samples under this configuration (TOML) and print what changes. Windows begin empty; each loop is judged by
+    /// itself.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["verify", "publish"])]
+    pub config: Option<PathBuf>,
     /// With --verify, also compare recordings made by another version.
     #[arg(long, requires = "verify")]
     pub allow_version: bool,
@@ -54,6 +60,9 @@ struct Totals {
 /// # Errors
 /// No recording of this program there, a file it needs is missing, or it cannot be read.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    if let Some(config) = &args.config {
+        return super::judge::run(&args.input, config, format);
+    }
     let mut totals = Totals::default();
     let mut publisher = Publisher::open(args)?;
     for chain in chains_of(&args.input)? {
@@ -80,13 +89,19 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
                     json!({"schema": schema, "files": files, "compared": compared, "unchecked": unchecked, "equal": (compared > 0).then_some(true)}),
                 )?
             }
-            Format::Text if compared == 0 => say(format!("{files} files: nothing was compared"))?,
+            Format::Text if compared == 0 => say(format!("{}: nothing was compared", counted(files, "file")))?,
             Format::Text => {
-                say(format!("{files} files, {compared} estimates, alarms, gaps and groups: all equal to the byte"))?
+                let files = counted(files, "file");
+                say(format!("{files}, {compared} estimates, alarms, gaps and groups: all equal to the byte"))?
             }
         }
     }
     Ok(if totals.cut { Outcome::DataLoss } else { Outcome::Done })
+}
+
+/// A number of things.
+fn counted(count: usize, thing: &str) -> String {
+    if count == 1 { format!("1 {thing}") } else { format!("{count} {thing}s") }
 }
 
 /// Replays the files of one run. A single file first replays as much of the earlier files as its windows need.

@@ -1,18 +1,22 @@
 //! `stictiond test`: runs the daemon's engine on known data and compares what it reports at the end with what is expected.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use serde_json::{Value, json};
 
 use super::reading::{ReadArgs, config_file, scenario_file};
-use super::{Format, Outcome, UsageError, in_order_on_all_cores, list, say, stop};
+use super::{Format, Outcome, UsageError, expect, in_order_on_all_cores, list, say, stop};
 use stiction_core::record::Sample;
 use stiction_core::units::optional;
+use stiction_core::verdict::Assessment;
+use stiction_daemon::received;
 use stiction_daemon::replay::Replay;
 use stiction_files::export::{Map, Zone};
 use stiction_files::{LoadedLoop, choose_loop};
+use stiction_monitor::alarm::why_not_active;
+use stiction_monitor::codec::topic::Kind;
 use stiction_monitor::config::Config;
 use stiction_monitor::expectations::{Case, Difference, Found, parse};
 
@@ -33,15 +37,23 @@ and what the newest window and the alarm should be then:
     s, j, p_stiction, stiction_index, period_s   [LOWEST, HIGHEST]
     alarm                                        true if active
 Each loop is judged by itself: groups of loops are not compared.
+With --write, the further arguments are data instead, and a case is written for each loop: what CONFIG reports on it now.
 Exit codes: 0 all cases hold, 1 one does not, 2 a file cannot be read, 3 all hold but a recording is damaged.
 Examples:
   stictiond test config/demo.toml
-  stictiond test new.toml config/expectations.toml --filter FIC101")]
+  stictiond test new.toml config/expectations.toml --filter FIC101
+  stictiond test config/demo.toml recordings/sticking.mcap --write cases.toml")]
 pub struct Args {
     /// Configuration of the daemon (TOML), with its settings of windows, alarms and loops.
     pub config: PathBuf,
-    /// Files of expectations (TOML) [default: expectations.toml beside the configuration].
+    /// Files of expectations (TOML) [default: expectations.toml beside the configuration]; with --write, data.
     pub expectations: Vec<PathBuf>,
+    /// Write expectations for the data to this file.
+    #[arg(long, value_name = "FILE", requires = "expectations", conflicts_with = "filter")]
+    pub write: Option<PathBuf>,
+    /// Replace the file that --write names.
+    #[arg(long, requires = "write")]
+    pub force: bool,
     /// Run only the cases whose name contains this text.
     #[arg(long, value_name = "TEXT")]
     pub filter: Option<String>,
@@ -58,10 +70,17 @@ struct FiledCase<'a> {
 
 /// Data that is read once: a path, and how it is read.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
-struct Input {
+pub(super) struct Input {
     path: PathBuf,
     map: Option<String>,
     tz: Option<String>,
+}
+
+impl Input {
+    /// A path that is read as it is.
+    pub(super) fn of(path: &Path) -> Self {
+        Self { path: path.to_owned(), map: None, tz: None }
+    }
 }
 
 impl FiledCase<'_> {
@@ -71,12 +90,23 @@ impl FiledCase<'_> {
     }
 }
 
+/// Newest windows that are kept of a loop.
+const RECENT: usize = 64;
+
+/// What the engine reported of a loop.
+#[derive(Clone, Default)]
+pub(super) struct Heard {
+    pub(super) found: Found,
+    /// Why the alarm is not active; none where it is.
+    why_no_alarm: Option<String>,
+}
+
 /// How a case ended.
 struct Tested {
     /// Its place among the cases.
     at: usize,
     /// What was found, and the expectations that do not hold.
-    result: anyhow::Result<(Found, Vec<Difference>)>,
+    result: anyhow::Result<(Heard, Vec<Difference>)>,
     /// Whether its recording is damaged.
     data_loss: bool,
 }
@@ -96,6 +126,14 @@ struct Totals {
 /// A faulty configuration or file of expectations; no case of the name.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let (_, config) = config_file(&args.config).map_err(usage)?;
+    if let Some(out) = &args.write {
+        let written = expect::write(&config, &args.expectations, &args.reading, (out, args.force))?;
+        match format {
+            Format::Json => say(json!({"schema": "stictiond.test_written.v1", "file": out, "cases": written}))?,
+            Format::Text => say(format!("{}: cases for {written} loops", out.display()))?,
+        }
+        return Ok(Outcome::Done);
+    }
     let files = match &args.expectations[..] {
         [] => vec![args.config.with_file_name(USUAL)],
         given => given.to_vec(),
@@ -160,7 +198,7 @@ fn test_input(
     reading: &ReadArgs,
 ) -> Vec<Tested> {
     let loaded = load(input, reading);
-    let mut known: BTreeMap<(String, Option<i64>), Found> = BTreeMap::new();
+    let mut known: BTreeMap<(String, Option<i64>), Heard> = BTreeMap::new();
     let mut test = |case: &Case| {
         let (loops, _) = loaded.as_ref().map_err(|error| anyhow!("{error:#}"))?;
         let (name, one) = loop_of(case, &input.path, loops)?;
@@ -171,16 +209,16 @@ fn test_input(
         if !known.contains_key(&key) {
             known.insert(key.clone(), report_on(config, name, &one.samples, case.until_ns)?);
         }
-        let found = known[&key].clone();
-        let differences = case.differences(&found);
-        Ok((found, differences))
+        let heard = known[&key].clone();
+        let differences = case.differences(&heard.found);
+        Ok((heard, differences))
     };
     let data_loss = loaded.as_ref().is_ok_and(|(_, data_loss)| *data_loss);
     places.iter().map(|at| Tested { at: *at, result: test(cases[*at].case), data_loss }).collect()
 }
 
 /// The loops of a scenario or of files, and whether data was lost.
-fn load(input: &Input, reading: &ReadArgs) -> anyhow::Result<(Vec<LoadedLoop>, bool)> {
+pub(super) fn load(input: &Input, reading: &ReadArgs) -> anyhow::Result<(Vec<LoadedLoop>, bool)> {
     let Input { path, map, tz } = input;
     if path.extension().is_some_and(|ending| ending == "toml") {
         let (_, scenario) = scenario_file(path)?;
@@ -220,32 +258,46 @@ fn loop_of<'a>(case: &'a Case, path: &Path, loops: &'a [LoadedLoop]) -> anyhow::
 }
 
 /// What the daemon reports last of a loop after its samples up to a time.
-fn report_on(config: &Config, name: &str, samples: &[Sample], until_ns: Option<i64>) -> anyhow::Result<Found> {
+pub(super) fn report_on(
+    config: &Config,
+    name: &str,
+    samples: &[Sample],
+    until_ns: Option<i64>,
+) -> anyhow::Result<Heard> {
     let mut replay = Replay::new(config.engine(), true);
     // A diagnosis changes neither estimates nor alarms.
     replay.set_diagnose(false);
-    let (mut found, mut outputs) = (Found::default(), Vec::new());
+    let (mut found, mut recent, mut outputs) = (Found::default(), VecDeque::new(), Vec::new());
     for sample in samples.iter().filter(|sample| until_ns.is_none_or(|until_ns| sample.t_ns <= until_ns)) {
         replay.take_sample(name, *sample, &mut outputs);
         replay.drain_for_plant().for_each(drop);
         for output in outputs.drain(..) {
             found.take(output.kind, &output.json).with_context(|| name.to_owned())?;
+            if output.kind == Kind::Estimate {
+                recent.extend(found.estimate.as_ref().and_then(received::estimate).map(|document| document.assessment));
+                recent.drain(..recent.len().saturating_sub(RECENT));
+            }
         }
     }
-    Ok(found)
+    let recent: Vec<Assessment> = recent.into();
+    let params = config.loop_named(name).map_or(config.alarm, |one| one.alarm);
+    let why_no_alarm = (!found.alarm).then(|| why_not_active(&recent, &params));
+    Ok(Heard { found, why_no_alarm })
 }
 
-/// The newest window in one line.
-fn summary(found: &Found) -> String {
+/// The newest window in one line, and why there is no alarm in another.
+fn summary(Heard { found, why_no_alarm }: &Heard) -> Vec<String> {
     let Some(estimate) = &found.estimate else {
-        return "no window came due; use longer data, or a shorter [window] hop_s".to_owned();
+        return vec!["no window came due; use longer data, or a shorter [window] hop_s".to_owned()];
     };
     let word = |value: &Value| value.as_str().unwrap_or("none").to_owned();
     let reason = estimate["reason"].as_str().map_or_else(String::new, |reason| format!(" ({reason})"));
     let s = optional(estimate["s"].as_f64());
     let alarm = if found.alarm { "active" } else { "not active" };
     let (end, verdict) = (word(&estimate["window"]["end"]), word(&estimate["verdict"]));
-    format!("window to {end}: {verdict}{reason}, s {s}, alarm {alarm}")
+    let newest = format!("window to {end}: {verdict}{reason}, s {s}, alarm {alarm}");
+    let why = why_no_alarm.iter().map(|why| format!("alarm not active: {why}"));
+    std::iter::once(newest).chain(why).collect()
 }
 
 fn print(one: &FiledCase<'_>, tested: &Tested, format: Format) -> anyhow::Result<()> {
@@ -256,11 +308,11 @@ fn print(one: &FiledCase<'_>, tested: &Tested, format: Format) -> anyhow::Result
     }
     let (word, lines) = match &tested.result {
         Ok((_, differences)) if differences.is_empty() => ("ok    ", Vec::new()),
-        Ok((found, differences)) => {
+        Ok((heard, differences)) => {
             let line = |d: &Difference| {
                 format!("{file}: line {}: {}: expected {}, found {}", d.line, d.key, d.expected, d.found)
             };
-            ("FAIL  ", differences.iter().map(line).chain([summary(found)]).collect())
+            ("FAIL  ", differences.iter().map(line).chain(summary(heard)).collect())
         }
         Err(error) => ("ERROR ", vec![format!("{file}: line {}: {error:#}", case.line)]),
     };
@@ -271,10 +323,10 @@ fn print(one: &FiledCase<'_>, tested: &Tested, format: Format) -> anyhow::Result
 
 /// A case and its result for programs.
 fn document(one: &FiledCase<'_>, tested: &Tested) -> Value {
-    let (result, found, differences, error) = match &tested.result {
-        Ok((found, differences)) => {
+    let (result, heard, differences, error) = match &tested.result {
+        Ok((heard, differences)) => {
             let result = if differences.is_empty() { "holds" } else { "differs" };
-            (result, Some(found), &differences[..], None)
+            (result, Some(heard), &differences[..], None)
         }
         Err(error) => ("failed", None, &[][..], Some(format!("{error:#}"))),
     };
@@ -282,7 +334,8 @@ fn document(one: &FiledCase<'_>, tested: &Tested) -> Value {
     json!({"schema": "stictiond.test_case.v1", "file": one.file, "line": one.case.line, "name": one.case.name,
         "input": one.input().path, "loop": one.case.loop_name, "result": result, "error": error,
         "differences": differences.iter().map(row).collect::<Vec<_>>(),
-        "estimate": found.and_then(|found| found.estimate.as_ref()), "alarm": found.map(|found| found.alarm)})
+        "estimate": heard.and_then(|heard| heard.found.estimate.as_ref()), "alarm": heard.map(|heard| heard.found.alarm),
+        "why_no_alarm": heard.and_then(|heard| heard.why_no_alarm.as_ref())})
 }
 
 impl Totals {

@@ -65,6 +65,10 @@ fn the_settings_of_the_configuration_are_used() {
     let deaf = config("b.toml", "[[loop]]\nname = \"FIC101\"\ns_limit_op = 20.0\n");
     let text = stdout(&expect(1, &["test", &deaf, &file]));
     assert!(text.contains("line 4: alarm: expected active, found not active"), "{text}");
+    assert!(
+        text.contains("alarm not active: 0 of the last ") && text.contains("below the limit of 20 OP units"),
+        "{text}"
+    );
     let long = config("c.toml", "[[loop]]\nname = \"FIC101\"\nhop_s = 86400.0\n");
     let text = stdout(&expect(1, &["test", &long, &file]));
     assert!(text.contains("found no estimate") && text.contains("hop_s"), "{text}");
@@ -119,4 +123,19 @@ fn faults_of_configuration_and_expectations_are_all_named_with_their_lines() {
     let alone = folder.path().join("alone.toml");
     fs::write(&alone, "[site]\nprefix = \"p\"\n").unwrap();
     assert!(stderr(&expect(2, &["test", alone.to_str().unwrap()])).contains("expectations.toml"));
+}
+
+#[test]
+fn expectations_that_were_written_hold_and_are_not_replaced_unasked() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("cases.toml");
+    let write = ["test", CONFIG, "recordings/sticking.mcap", "--write", file.to_str().unwrap()];
+    assert!(stdout(&expect(0, &write)).contains("cases for 1 loops"));
+    let text = fs::read_to_string(&file).unwrap();
+    for part in ["verdict = \"stiction\"", "s = [7.", "alarm = true", "name = \"FIC101 of sticking.mcap\""] {
+        assert!(text.contains(part), "{part} is not in\n{text}");
+    }
+    assert!(stdout(&expect(0, &["test", CONFIG, file.to_str().unwrap()])).contains("1 hold"));
+    assert!(stderr(&expect(1, &write)).contains("--force"));
+    assert!(stderr(&expect(2, &["test", CONFIG, "--write", "x.toml"])).contains("EXPECTATIONS"));
 }

@@ -22,6 +22,7 @@ mod expectations;
 mod exports;
 mod failover;
 mod golden;
+mod judged;
 mod other_programs;
 mod pages;
 mod recordings;

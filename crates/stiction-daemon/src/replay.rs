@@ -52,6 +52,8 @@ pub struct Replay {
     before: Option<Engine>,
     /// Windows are cut and given up, results passed over: only the loops' streams go on.
     streams_alone: bool,
+    /// Of the file only samples and commands count: it is judged anew, and windows begin empty.
+    judging: bool,
     /// Requests that wait for their place, per loop.
     waiting: HashMap<LoopId, VecDeque<Request>>,
     /// Where each loop stands among its windows.
@@ -97,6 +99,7 @@ impl Replay {
             engine: Engine::new(settings),
             before: None,
             streams_alone: false,
+            judging: false,
             waiting: HashMap::new(),
             places: HashMap::new(),
             gaps: HashMap::new(),
@@ -110,6 +113,11 @@ impl Replay {
     /// Whether only samples are replayed, and the windows and results of the following files are passed over.
     pub const fn set_streams_alone(&mut self, streams_alone: bool) {
         self.streams_alone = streams_alone;
+    }
+
+    /// Whether only samples and commands of the following files count.
+    pub const fn set_judging(&mut self, judging: bool) {
+        self.judging = judging;
     }
 
     /// The replay begins, under these settings.
@@ -157,7 +165,7 @@ impl Replay {
         }
         let Some(id) = self.engine.appear(topic.loop_name) else { return Ok(()) };
         match topic.leaf {
-            Leaf::Document(kind) if self.streams_alone && kind != Kind::Input => {}
+            Leaf::Document(kind) if (self.streams_alone || self.judging) && kind != Kind::Input => {}
             Leaf::Document(Kind::Estimate) if !self.at_once => {
                 let marker: Marker = serde_json::from_slice(data).context("a recorded estimate names no window")?;
                 self.answer(id, marker.window.end_ns);
@@ -182,6 +190,8 @@ impl Replay {
     /// Does what outside time or people did there.
     fn obey(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) -> anyhow::Result<()> {
         match input {
+            // Which windows were skipped, and what loops were told of each other, belongs to the run that was recorded.
+            other if self.judging && !matches!(other, RecordedInput::Command(_)) => {}
             RecordedInput::Command(_) | RecordedInput::GapRun { .. } | RecordedInput::Removed if self.streams_alone => {
             }
             RecordedInput::Skip { seq, .. } => {
@@ -267,6 +277,9 @@ impl Replay {
     /// # Errors
     /// A payload that is no state.
     pub fn take_head(&mut self, data: &[u8], everything: bool) -> anyhow::Result<()> {
+        if self.judging {
+            return Ok(());
+        }
         let state: StateDocument = serde_json::from_slice(data).context("a recorded state cannot be read")?;
         if let Some(before) = &mut self.before {
             self.engine.take_loop(before, &state.loop_name, 0..usize::MAX);

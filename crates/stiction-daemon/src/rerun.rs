@@ -31,6 +31,10 @@ const BLOCK_BYTES: usize = 64 << 20;
 pub struct Rerun {
     lanes: Vec<Mutex<Replay>>,
     settings: EngineSettings,
+    /// Whether files are judged anew, from their samples and commands alone.
+    judging: bool,
+    /// Whether the settings stay, whatever the files were recorded under.
+    fixed: bool,
     /// Says which loops there is a place for, as one engine would.
     places: Engine,
     /// When whoever waits for it waits no longer.
@@ -103,7 +107,7 @@ impl Rerun {
         let lane = |_| Mutex::new(Replay::new(settings.clone(), at_once));
         let (lanes, places) = ((0..LANES).map(lane).collect(), Engine::new(settings.clone()));
         let plant = ReplayPlant::new(settings.daemon.as_deref());
-        Self { lanes, settings, places, until: None, plant }
+        Self { lanes, settings, judging: false, fixed: false, places, until: None, plant }
     }
 
     /// Only the loops' streams, until this moment: after it [`Rerun::file`] fails.
@@ -111,6 +115,18 @@ impl Rerun {
     pub fn of_streams(config: &Config, until: Instant) -> Self {
         let mut rerun = Self { until: Some(until), ..Self::new(config, None, false) };
         rerun.each(|replay| replay.set_streams_alone(true));
+        rerun
+    }
+
+    /// Judges files anew, from their samples and commands alone and with windows that begin empty: under this configuration
+    /// where it is `fixed`, else from the first file on under those that the files were recorded under.
+    #[must_use]
+    pub fn judging(config: &Config, fixed: bool) -> Self {
+        let mut rerun = Self { judging: true, fixed, ..Self::new(config, None, true) };
+        rerun.each(|replay| {
+            replay.set_judging(true);
+            replay.set_diagnose(false);
+        });
         rerun
     }
 
@@ -167,6 +183,9 @@ impl Rerun {
         first: bool,
         begins_run: bool,
     ) -> anyhow::Result<()> {
+        if self.fixed {
+            return Ok(());
+        }
         let recorded: Option<Origins> = metadata.get(ORIGINS).and_then(|json| serde_json::from_str(json).ok());
         let is_same = metadata.get("config_hash").filter(|hash| !hash.is_empty()).is_none_or(|hash| {
             let origins = recorded.unwrap_or_else(|| Origins::new(hash));
@@ -177,7 +196,7 @@ impl Rerun {
             self.settings = EngineSettings { daemon, ..RunMetadata::of(path, metadata)?.engine() };
         }
         let settings = self.settings.clone();
-        if begins_run && !first {
+        if begins_run && !first && !self.judging {
             self.each(|replay| replay.begin_run(settings.clone()));
             self.plant = ReplayPlant::new(settings.daemon.as_deref());
             self.places = Engine::new(settings);

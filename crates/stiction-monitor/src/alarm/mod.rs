@@ -7,6 +7,7 @@ mod command;
 mod document;
 mod params;
 mod priority;
+mod why;
 
 use serde::{Deserialize, Serialize};
 use stiction_core::ident::region::Size;
@@ -15,6 +16,7 @@ pub use command::{Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
 pub use document::{ALARM_SCHEMA, AlarmDocument, AlarmWindow, Event, Figures, LoopContext, Mark, Marks};
 pub use params::AlarmParams;
 pub use priority::Priority;
+pub use why::why_not_active;
 
 use document::{Occurrence, event_id, occurrence_id};
 use stiction_core::units::format_rfc3339;

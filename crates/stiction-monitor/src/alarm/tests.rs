@@ -191,3 +191,24 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn an_alarm_that_is_not_raised_says_what_its_windows_counted_for() {
+    let params = AlarmParams { raise: [3, 4], s_limit_op: 5.0, s_limit_span: 0.0 };
+    let windows = |verdicts: &[(Verdict, f64)]| -> Vec<Assessment> {
+        verdicts.iter().enumerate().map(|(k, (v, s))| assessment(k as i64, *v, *s, Size::Weak)).collect()
+    };
+    let said = |verdicts: &[(Verdict, f64)]| why_not_active(&windows(verdicts), &params);
+    let small = said(&[(Verdict::Stiction, 9.0), YES, YES, NO]);
+    assert!(small.starts_with("1 of the last 4 windows that count") && small.contains("3 of 4 are needed"), "{small}");
+    assert!(small.contains("s 2 is below the limit of 5 OP units") && small.contains("no stiction found"), "{small}");
+    assert_eq!(small.matches("below the limit").count(), 1, "{small}");
+    let mut coarse = windows(&[SILENT; 4]);
+    coarse.iter_mut().for_each(|a| a.reason = Some("too_coarse"));
+    let coarse = why_not_active(&coarse, &params);
+    assert!(
+        coarse.starts_with("no window counts") && coarse.len() > "no window counts, 3 of 4 are needed: ".len(),
+        "{coarse}"
+    );
+    assert_eq!(why_not_active(&[], &params), "no window counts, 3 of 4 are needed");
+}
