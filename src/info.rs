@@ -341,10 +341,11 @@ fn as_text(info: &Info) -> String {
             info.sha256_holds.map_or("not checked; use --verify", |holds| if holds { "matches" } else { "WRONG" });
         let _ = writeln!(text, "  sha256      {sum} ({word})");
     }
-    for (key, value) in &info.metadata {
+    let says_something = |value: &str| !value.is_empty() && value != "[]";
+    for (key, value) in info.metadata.iter().filter(|(_, value)| says_something(value)) {
         let lines = value.lines().count();
         let shown = if lines > 1 || value.len() > 100 { format!("({lines} lines)") } else { value.clone() };
-        let _ = writeln!(text, "  {key:<10}  {shown}");
+        let _ = writeln!(text, "  {key:<12}{shown}");
     }
     if let (Some(start), Some(end)) = (info.start_ns, info.end_ns) {
         let _ = writeln!(text, "  time        {} to {}", format_rfc3339(start), format_rfc3339(end));

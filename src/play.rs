@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{anyhow, bail};
 use indicatif::ProgressBar;
-use serde_json::json;
+use serde_json::{Value, json};
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
@@ -20,6 +20,12 @@ use stiction_monitor::codec::topic;
 
 /// Messages per second at `--speed max`: a rate that a daemon takes without loss.
 const MAX_RATE: f64 = 20_000.0;
+/// Windows that a daemon may have to judge before `--speed max` waits for it: it gives windows up beyond 1,024.
+const WAITING: f64 = 256.0;
+/// Shortest time between two windows of a loop that is expected at first, s: the default of `[window] hop_s`.
+const HOP_S: f64 = 600.0;
+/// Pause between two looks at the daemons, and how long one may take to answer.
+const LOOK: Duration = Duration::from_secs(1);
 /// Time limit for a subscriber to show.
 const SUBSCRIBER_WITHIN: Duration = Duration::from_secs(10);
 /// How long the end waits until all is sent.
@@ -43,7 +49,7 @@ pub struct Args {
     /// Key prefix of the published samples, such as plant1/area1.
     #[arg(long, value_parser = prefix)]
     pub prefix: String,
-    /// Speed as a multiple of real time, or max (20,000 messages/s).
+    /// Speed as a multiple of real time, or max: 20,000 messages/s, and no faster than the daemons below the prefix judge.
     #[arg(long, default_value = "1", value_parser = speed, allow_negative_numbers = true)]
     pub speed: Speed,
 }
@@ -123,24 +129,34 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if total == 0 {
         bail!("{}: contains no samples", super::reading::named(&args.input));
     }
-    let sent = block_on(async {
+    let (sent, skipped) = block_on(async {
         let stop = asked_to_stop()?;
         let session = connect(&args.connect).await?;
         wait_for_subscriber(&session, &args.prefix).await?;
+        let before = skipped_fits(&session, &args.prefix).await;
         let bar = ProgressBar::new(total as u64);
         let (sent, patience) = tokio::select! {
             sent = publish(&session, args, &loaded.loops, &bar) => (sent, CLOSE_WITHIN),
             () = stop => (Ok(bar.position()), Duration::from_secs(2)),
         };
         bar.finish_and_clear();
+        let after = skipped_fits(&session, &args.prefix).await;
+        let skipped = after.zip(before).map_or(0, |(after, before)| after.saturating_sub(before));
         match tokio::time::timeout(patience, session.close()).await {
             Ok(Ok(())) => {}
             _ => tracing::warn!("the last samples may be lost: {} did not take them in time", args.connect),
         }
-        sent
+        sent.map(|sent| (sent, skipped))
     })?;
+    if skipped > 0 {
+        tracing::warn!(
+            "{skipped} windows got no answer because the daemon's machine was too busy: play slower (--speed)"
+        );
+    }
     match format {
-        Format::Json => say(json!({"schema": "stictiond.play.v1", "published": sent, "of": total}))?,
+        Format::Json => {
+            say(json!({"schema": "stictiond.play.v1", "published": sent, "of": total, "skipped": skipped}))?
+        }
         Format::Text => say(format!("{sent} of {total} samples published below {}", args.prefix))?,
     }
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
@@ -155,6 +171,7 @@ async fn publish(
     let started = Instant::now();
     let mut first_ns = None;
     let mut json = Vec::new();
+    let mut pace = Pace { slice_s: WAITING * HOP_S / loops.len() as f64, from_ns: None };
     for (sent, (of, sample)) in Merged::new(loops).enumerate() {
         let first_ns = *first_ns.get_or_insert(sample.t_ns);
         let due = match args.speed {
@@ -164,6 +181,9 @@ async fn publish(
         let ahead = Duration::from_secs_f64(due.clamp(0.0, 1e9)).saturating_sub(started.elapsed());
         if ahead > Duration::from_millis(2) {
             tokio::time::sleep(ahead).await;
+        }
+        if args.speed == Speed::Max {
+            pace.keep(session, &args.prefix, sample.t_ns).await;
         }
         json.clear();
         encode_recorded(&sample, &mut json);
@@ -177,4 +197,77 @@ async fn publish(
         bar.inc(1);
     }
     Ok(bar.position())
+}
+
+/// How far `--speed max` runs before it waits for the daemons.
+struct Pace {
+    /// Plant time between two waits, s.
+    slice_s: f64,
+    /// Where the present slice begins.
+    from_ns: Option<i64>,
+}
+
+impl Pace {
+    /// At the end of a slice, waits until the daemons have judged most of it.
+    async fn keep(&mut self, session: &zenoh::Session, prefix: &str, t_ns: i64) {
+        let from_ns = *self.from_ns.get_or_insert(t_ns);
+        if s_from_ns(t_ns.saturating_sub(from_ns)) < self.slice_s {
+            return;
+        }
+        self.from_ns = Some(t_ns);
+        // A health document of after the slice: the one at hand may be of before.
+        let Some(asked) = Daemons::of(session, prefix).await else { return };
+        let mut most = 0;
+        loop {
+            tokio::time::sleep(LOOK).await;
+            let Some(now) = Daemons::of(session, prefix).await else { return };
+            most = most.max(now.fits);
+            if now.uptime_s != asked.uptime_s && (now.fits as f64) < WAITING {
+                break;
+            }
+        }
+        match most as f64 {
+            most if most > 2.0 * WAITING => self.slice_s /= 2.0,
+            most if most < WAITING => self.slice_s *= 2.0,
+            _ => {}
+        }
+    }
+}
+
+/// What the daemons below a prefix say of themselves.
+#[derive(Default)]
+struct Daemons {
+    /// Windows that wait, of the daemon that has most.
+    fits: u64,
+    /// Windows that got no answer so far.
+    skipped: u64,
+    /// Age of the youngest daemon, which tells a new document from an old one.
+    uptime_s: f64,
+}
+
+impl Daemons {
+    /// None where no daemon answers.
+    async fn of(session: &zenoh::Session, prefix: &str) -> Option<Self> {
+        let key = topic::plane(prefix, "@daemon/*/health");
+        let replies = session.get(&key).timeout(LOOK).await.ok()?;
+        let mut all: Option<Self> = None;
+        while let Ok(reply) = replies.recv_async().await {
+            let Ok(sample) = reply.result() else { continue };
+            let Ok(health) = serde_json::from_slice::<Value>(&sample.payload().to_bytes()) else { continue };
+            let queues = health["queues"].as_array().map_or(&[][..], Vec::as_slice);
+            let waiting =
+                queues.iter().find(|queue| queue["name"] == "fits").and_then(|queue| queue["length"].as_u64());
+            let uptime_s = health["uptime_s"].as_f64().unwrap_or(0.0);
+            let known = all.get_or_insert(Self { uptime_s, ..Self::default() });
+            known.fits = known.fits.max(waiting.unwrap_or(0));
+            known.skipped += health["counters"]["fits_skipped"].as_u64().unwrap_or(0);
+            known.uptime_s = known.uptime_s.min(uptime_s);
+        }
+        all
+    }
+}
+
+/// Windows that got no answer so far because a daemon's machine was too busy; none where no daemon answers.
+async fn skipped_fits(session: &zenoh::Session, prefix: &str) -> Option<u64> {
+    Daemons::of(session, prefix).await.map(|daemons| daemons.skipped)
 }

@@ -67,7 +67,7 @@ pub fn refill(dir: &Path, config: &Config, now_ns: i64, faults: &Faults) -> Refi
             faults.raise_for("refill", format!("the windows of some loops begin empty: {error:#}"), LOSS_SHOWN);
         }
     }
-    let (loops, took_s) = (refilled.engine.count(), started.elapsed().as_secs_f64());
+    let (loops, took_s) = (refilled.engine.count(), format!("{:.1}", started.elapsed().as_secs_f64()));
     tracing::info!(loops, shards = refilled.continued.len(), took_s, "windows refilled from recordings");
     refilled
 }

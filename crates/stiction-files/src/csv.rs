@@ -90,8 +90,11 @@ pub fn read(path: &Path) -> Result<Table, FileError> {
 /// # Errors
 /// [`CsvError`] names the line and the remedy.
 pub fn read_from(source: impl Read) -> Result<Table, CsvError> {
-    let mut reader =
-        ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(source);
+    let mut reader = ::csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .trim(::csv::Trim::All)
+        .from_reader(NewLines::of(source));
     let mut row = ::csv::ByteRecord::new();
     reader.read_byte_record(&mut row)?;
     let layout = Layout::of_header(&row)?;
@@ -100,6 +103,50 @@ pub fn read_from(source: impl Read) -> Result<Table, CsvError> {
         rows.take(&row)?;
     }
     Ok(rows.finish())
+}
+
+/// A text whose lines end with a line feed alone: with a carriage return before it, rows are counted one short.
+struct NewLines<R> {
+    source: R,
+    /// A carriage return whose next byte has not come yet.
+    held: bool,
+}
+
+impl<R: Read> NewLines<R> {
+    const fn of(source: R) -> Self {
+        Self { source, held: false }
+    }
+}
+
+impl<R: Read> Read for NewLines<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        // A place for the one that is held.
+        let mut taken = vec![0; out.len().saturating_sub(1)];
+        loop {
+            let count = self.source.read(&mut taken)?;
+            let mut kept = 0;
+            let mut keep = |byte| {
+                out[kept] = byte;
+                kept += 1;
+            };
+            for byte in &taken[..count] {
+                if std::mem::take(&mut self.held) && *byte != b'\n' {
+                    keep(b'\r');
+                }
+                self.held = *byte == b'\r';
+                if !self.held {
+                    keep(*byte);
+                }
+            }
+            if count == 0 && !taken.is_empty() && std::mem::take(&mut self.held) {
+                keep(b'\r');
+            }
+            // Nothing means the end, which has not come where all that came is held.
+            if kept > 0 || count == 0 {
+                return Ok(kept);
+            }
+        }
+    }
 }
 
 /// Column positions.
@@ -197,7 +244,11 @@ impl Cells {
         }
         if let Some((line, text)) = &self.first_text {
             let count = self.texts;
-            warnings.push(format!("{count} cells without a number count as missing, first {text:?} in line {line}"));
+            let cells = match count {
+                1 => "1 cell without a number counts".to_owned(),
+                _ => format!("{count} cells without a number count"),
+            };
+            warnings.push(format!("{cells} as missing, first {text:?} in line {line}"));
         }
         let Joined { samples, rows, missing, warnings: more } = self.rows.finish();
         warnings.extend(more);
@@ -315,7 +366,13 @@ mod tests {
     fn words_in_number_columns_are_missing_and_told() {
         let table = table("t,op,pv\n0,Bad,1\n1,2,\n2,3");
         assert_eq!((table.rows, table.missing), (3, 3));
+        assert!(table.warnings[0].starts_with("1 cell without a number counts"), "{:?}", table.warnings);
         assert!(table.warnings[0].contains("line 2"), "{:?}", table.warnings);
+        // However lines end, and wherever a read stops.
+        for text in ["t,op,pv\r\n0,1,1\r\n\"1\",Bad,1\r\n2,3,3\r\n", "t,op,pv\n0,1,1\n1,Bad,1\n2,3,3"] {
+            let read = read_from(BufReader::with_capacity(2, text.as_bytes())).unwrap();
+            assert!(read.rows == 3 && read.warnings[0].contains("line 3"), "{:?}", read.warnings);
+        }
     }
 
     #[test]

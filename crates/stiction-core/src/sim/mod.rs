@@ -10,6 +10,7 @@ pub mod plant;
 pub mod process;
 pub mod scenario;
 mod scenario_read;
+mod scenario_shape;
 pub mod slips;
 pub mod steps;
 pub mod valve;

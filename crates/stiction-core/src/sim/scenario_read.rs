@@ -8,6 +8,7 @@ use toml::Spanned;
 
 use super::closed_loop::ValveLaw;
 use super::scenario::{LoopSpec, RecordingSpec, Scenario, ScenarioError, Setpoint};
+use super::scenario_shape::shape_faults;
 use crate::units::{is_loop_name, parse_time};
 
 /// Most scans of a scenario: one per second for three years.
@@ -74,11 +75,13 @@ impl Scenario {
     /// Parses and validates a scenario.
     ///
     /// # Errors
-    /// [`ScenarioError::Toml`] for the first key that cannot be parsed, [`ScenarioError::Invalid`] for all invalid values; both
-    /// with lines.
+    /// [`ScenarioError::Toml`] where the text is no TOML or has one key that cannot be read, [`ScenarioError::Invalid`] for all
+    /// faults where there are more; both with lines.
     pub fn parse(text: &str) -> Result<Self, ScenarioError> {
-        let scenario: Self =
-            toml::from_str(text).map_err(|e| ScenarioError::Toml(e.to_string().trim_end().to_owned()))?;
+        let scenario: Self = toml::from_str(text).map_err(|error| match shape_faults(text) {
+            several if several.len() > 1 => ScenarioError::Invalid(several),
+            _ => ScenarioError::Toml(error.to_string().trim_end().to_owned()),
+        })?;
         let found = faults(&scenario, text);
         if found.is_empty() { Ok(scenario) } else { Err(ScenarioError::Invalid(found)) }
     }
@@ -304,6 +307,20 @@ controller = { kc = 1.0 }
             .replace("gain = 1.0 }", "gain = nan }");
         let Err(ScenarioError::Invalid(faults)) = Scenario::parse(&text) else { panic!("accepted") };
         assert_eq!(faults.len(), 3, "{faults:?}");
+        // Of shape too, and nothing that only follows from another.
+        let text = GOOD
+            .replace("ts_s = 1.0", "ts_s = \"1\"\ntss = 2.0")
+            .replacen("gain = 1.0 }", "gian = 1.0 }", 1)
+            .replacen("fd = 1.0", "fdd = 1.0", 1);
+        let Err(ScenarioError::Invalid(faults)) = Scenario::parse(&text) else { panic!("accepted") };
+        for part in ["invalid type: string \"1\"", "unknown field `tss`", "unknown field `gian`", "unknown field `fdd`"]
+        {
+            assert!(
+                faults.iter().any(|fault| fault.starts_with("line ") && fault.contains(part)),
+                "{part}: {faults:?}"
+            );
+        }
+        assert!(!faults.iter().any(|fault| fault.contains("missing field `ts_s`")), "{faults:?}");
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::Answer;
 use stiction_core::plantwide;
 use stiction_core::units::{self, duration, optional as number, significant};
 use stiction_core::verdict::action::Action;
-use stiction_core::verdict::{Assessment, EstimateDocument, Process, words};
+use stiction_core::verdict::{Assessment, EstimateDocument, Gate, Process, words};
 
 /// Rows of text: a name and what it says, a name only where it changes.
 struct Rows(Vec<String>);
@@ -58,7 +58,9 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
     let w = &a.window;
     let averaged = if box_samples > 1.0 { format!(", averaged over {box_samples}") } else { String::new() };
     let (stretch, ts) = (units::from_to(w.start_ns, w.end_ns), units::number(w.ts_s));
-    rows.add("window", format!("{stretch}, {} samples of {ts} s{averaged}", w.samples));
+    // Uneven times are brought onto a grid, so these are not the rows of the file.
+    let grid = if a.gates.contains(&Gate::Irregular) { " on an even grid" } else { "" };
+    rows.add("window", format!("{stretch}, {} samples of {ts} s{grid}{averaged}", w.samples));
     let o = &a.oscillation;
     if let (Some(period), Some(periods), Some(density)) = (o.period_s, o.periods, o.samples_per_period) {
         let kind = if o.oscillating { "regular" } else { "not regular" };
@@ -81,7 +83,9 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
     }
     if let Some(c) = &a.controller {
         let action = if c.td_s > 0.0 { format!(", Td {}", duration(c.td_s)) } else { String::new() };
-        rows.add("controller", format!("Kc {}, Ti {}{action}, R2 {:.3}", units::number(c.kc), duration(c.ti_s), c.r2));
+        let integral =
+            if c.ti_s.is_finite() { format!("Ti {}", duration(c.ti_s)) } else { "no integral action seen".to_owned() };
+        rows.add("controller", format!("Kc {}, {integral}{action}, R2 {:.3}", units::number(c.kc), c.r2));
     }
     if let Some(grade) = a.grade {
         rows.add("grade", grade.to_string());
