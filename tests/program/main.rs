@@ -24,6 +24,7 @@ mod failover;
 mod golden;
 mod other_programs;
 mod pages;
+mod play;
 mod recordings;
 mod shipped;
 mod toolbox;
