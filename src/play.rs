@@ -135,15 +135,20 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         wait_for_subscriber(&session, &args.prefix).await?;
         let before = skipped_fits(&session, &args.prefix).await;
         let bar = ProgressBar::new(total as u64);
+        let mut taken = true;
         let (sent, patience) = tokio::select! {
-            sent = publish(&session, args, &loaded.loops, &bar) => (sent, CLOSE_WITHIN),
+            sent = async {
+                let sent = publish(&session, args, &loaded.loops, &bar).await;
+                taken = all_taken(&session, &args.prefix).await?;
+                sent
+            } => (sent, CLOSE_WITHIN),
             () = stop => (Ok(bar.position()), Duration::from_secs(2)),
         };
         bar.finish_and_clear();
         let after = skipped_fits(&session, &args.prefix).await;
         let skipped = after.zip(before).map_or(0, |(after, before)| after.saturating_sub(before));
         match tokio::time::timeout(patience, session.close()).await {
-            Ok(Ok(())) => {}
+            Ok(Ok(())) if taken => {}
             _ => tracing::warn!("the last samples may be lost: {} did not take them in time", args.connect),
         }
         sent.map(|sent| (sent, skipped))
@@ -160,6 +165,24 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Format::Text => say(format!("{sent} of {total} samples published below {}", args.prefix))?,
     }
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
+}
+
+/// Waits until a daemon below the prefix has taken what was sent: its answer to a question that follows the samples on the same
+/// way says so. To close the session is not enough: what a receiver that is busy leaves for some seconds is then thrown away.
+/// False where it does not answer in time; where no daemon is there, nothing can be known.
+///
+/// # Errors
+/// The prefix is no key.
+async fn all_taken(session: &zenoh::Session, prefix: &str) -> anyhow::Result<bool> {
+    let key = topic::plane(prefix, "@daemon/*/health");
+    let asked = session.get(&key).congestion_control(CongestionControl::Block).timeout(CLOSE_WITHIN);
+    let (started, answers) = (Instant::now(), asked.await.map_err(|e| anyhow!("{key}: {e}"))?);
+    while let Ok(answer) = answers.recv_async().await {
+        if answer.result().is_ok() {
+            return Ok(true);
+        }
+    }
+    Ok(started.elapsed() < CLOSE_WITHIN)
 }
 
 async fn publish(

@@ -25,6 +25,7 @@ mod golden;
 mod judged;
 mod other_programs;
 mod pages;
+mod play;
 mod recordings;
 mod shipped;
 mod toolbox;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use stiction_daemon::replay::{chains_of, files_needed};
+use stiction_daemon::replay::{chains_of, files_before};
 use stiction_daemon::rerun::Rerun;
 use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_daemon::sink::recorder::shard_of;
@@ -118,13 +118,11 @@ pub fn chains_replay_to_the_byte(dir: &Path) -> usize {
 pub fn replays_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;
     for chain in chains_of(dir).unwrap() {
-        let needed = |file: &PathBuf| files_needed(file, &metadata(file)).unwrap();
-        let mut whole = needed(&chain[0]);
-        whole.pop();
-        for file in &chain {
-            compared += compare_last(&needed(file));
-            whole.push(file.clone());
-            compare_last(&whole);
+        let needed = |files: &[PathBuf]| [&files_before(files).unwrap(), files].concat();
+        let whole = needed(&chain);
+        for (at, file) in chain.iter().enumerate() {
+            compared += compare_last(&needed(std::slice::from_ref(file)));
+            compare_last(&whole[..=whole.len() - chain.len() + at]);
         }
     }
     compared

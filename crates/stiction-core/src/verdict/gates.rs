@@ -32,15 +32,17 @@ pub(crate) fn gates(record: &Record, oscillation: &Oscillation, params: &AssessP
     let raw = record.raw_samples.max(1) as f64;
     let facts = &record.facts;
     let periods = oscillation.periods;
+    // Of a few samples nobody can tell whether they stand still.
+    let is_short = record.len() < MIN_SAMPLES;
     let quantised = is_coarse(&record.op_path) || is_coarse(&record.pv);
     let met = |gate: Gate| match gate {
         Gate::Manual => f64::from(facts.manual) > MANUAL_SHARE * raw,
         Gate::BadQuality => f64::from(facts.bad) + f64::from(facts.filled) > BAD_SHARE * raw,
-        Gate::FrozenPv => is_frozen(&record.pv, f64::from(facts.pv_repeats) / raw),
-        Gate::FrozenOp => is_frozen(&record.op_path, f64::from(facts.op_repeats) / raw),
+        Gate::FrozenPv => !is_short && is_frozen(&record.pv, f64::from(facts.pv_repeats) / raw),
+        Gate::FrozenOp => !is_short && is_frozen(&record.op_path, f64::from(facts.op_repeats) / raw),
         Gate::Swapped => swapped::by_set_point(record),
         Gate::Saturated => is_saturated(&op, params.op_range),
-        Gate::TooFewSamples => record.len() < MIN_SAMPLES || periods.is_some_and(|p| p < 2.0),
+        Gate::TooFewSamples => is_short || periods.is_some_and(|p| p < 2.0),
         Gate::Skipped => false,
         Gate::TooFewPeriods => periods.is_some_and(|p| p < params.min_periods),
         Gate::TooCoarse => oscillation.samples_per_period.is_some_and(|n| n < params.min_samples_per_period),
@@ -151,6 +153,7 @@ mod tests {
         let clipped: Vec<f64> = good().iter().map(|u| u.min(49.5)).collect();
         assert_eq!(of(clipped, good()), vec![Gate::Saturated]);
         assert_eq!(of(wave(20, 7.3), wave(20, 7.3))[0], Gate::TooFewSamples);
+        assert_eq!(of(vec![50.0], vec![20.0])[0], Gate::TooFewSamples);
         let rounded: Vec<f64> = good().iter().map(|u| u.round()).collect();
         assert_eq!(of(good(), rounded), vec![Gate::Quantised]);
         let held: Vec<f64> = good().iter().enumerate().map(|(k, _)| wave(500, 61.3)[k - k % 3]).collect();

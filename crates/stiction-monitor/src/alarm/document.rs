@@ -1,5 +1,7 @@
 //! The alarm's document: every change as fields, so that nobody has to read prose.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 use stiction_core::ident::region::Size;
 
@@ -71,6 +73,8 @@ impl Event {
 /// Where a loop belongs and what it is worth, as the configuration says.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct LoopContext {
+    /// The site's prefix: the same tag at another site is another loop.
+    pub site: Arc<str>,
     /// How much it matters, 1 to 5; none where the configuration says nothing of the loop.
     pub criticality: Option<u8>,
     /// Part of the plant.
@@ -245,15 +249,21 @@ pub struct AlarmDocument {
 }
 
 impl AlarmDocument {
-    /// The same on a loop of this place: criticality, and with it the priority, area, equipment, unit.
+    /// The same on a loop of this place: criticality, and with it the priority, area, equipment, unit; and the identities,
+    /// which are of the site. A place without a site leaves these as they are.
     #[must_use]
     pub fn at(self, place: &LoopContext) -> Self {
+        let of_site = |id: String| {
+            if place.site.is_empty() { id } else { short_hash(format!("{}\n{id}", place.site).as_bytes()) }
+        };
         let priority =
             self.active.then(|| Priority::of(self.class, place.criticality.unwrap_or(Priority::CRITICALITY)));
         let unit = place.op_unit.as_deref().unwrap_or(OP_UNIT).to_owned();
         let what_to_do =
             self.active.then(|| self.action.map(|action| action.alone(&unit)).or(self.what_to_do)).flatten();
         Self {
+            event_id: of_site(self.event_id),
+            occurrence_id: self.occurrence_id.map(of_site),
             priority,
             criticality: place.criticality,
             area: place.area.clone(),
@@ -272,12 +282,13 @@ impl AlarmDocument {
     }
 }
 
-/// The identity of a change of a loop's alarm: the same in a live run and its replay, another for every other change.
+/// The identity of a change of a loop's alarm within its site: the same in a live run and its replay, another for every other
+/// change.
 pub(super) fn event_id(loop_name: &str, changes: u64, changed_ns: i64, event: Event) -> String {
     short_hash(format!("{loop_name}\n{changes}\n{changed_ns}\n{}", event.name()).as_bytes())
 }
 
-/// The identity of an occurrence.
+/// The identity of an occurrence within its site.
 pub(super) fn occurrence_id(loop_name: &str, since_ns: i64) -> String {
     short_hash(format!("{loop_name}\n{since_ns}").as_bytes())
 }

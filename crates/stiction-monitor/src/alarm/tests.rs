@@ -84,6 +84,19 @@ fn it_is_raised_again_when_it_gets_worse() {
     assert_eq!(over.at(&LoopContext { criticality: Some(5), ..LoopContext::default() }).priority, None);
 }
 
+#[test]
+fn the_same_tag_at_another_site_has_other_identities() {
+    let params = AlarmParams { raise: [1, 1], s_limit_op: 1.0, s_limit_span: 0.0 };
+    let raised = || Alarm::default().window("L", &assessment(0, Verdict::Stiction, 2.0, Size::Weak), &params).unwrap();
+    let at = |site: &str| {
+        let document = raised().at(&LoopContext { site: site.into(), ..LoopContext::default() });
+        (document.event_id, document.occurrence_id.unwrap())
+    };
+    let (north, south) = (at("north"), at("south"));
+    assert_eq!(north, at("north"));
+    assert!(north.0 != south.0 && north.1 != south.1, "{north:?} {south:?}");
+}
+
 fn asks(cmd: &str, why: Option<&str>) -> Command {
     Command { cmd: cmd.into(), by: Some("ann".into()), why: why.map(str::to_owned), for_s: Some(3600) }
 }

@@ -52,7 +52,7 @@ impl Config {
             window,
             alarm,
             gap: self.gap,
-            place: own.map(place_of).unwrap_or_default(),
+            place: LoopContext { site: self.site.prefix.as_str().into(), ..own.map(place_of).unwrap_or_default() },
         }
     }
 }
@@ -68,5 +68,6 @@ fn place_of(own: &LoopConfig) -> LoopContext {
         equipment: said(&own.equipment),
         op_unit: said(&own.op_unit).or(percent),
         upstream: own.upstream.clone(),
+        ..LoopContext::default()
     }
 }
