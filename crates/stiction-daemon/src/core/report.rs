@@ -61,6 +61,7 @@ impl Core {
             &m.over_rate,
             &m.stamps_ahead,
             &m.delivery_dropped,
+            &m.birth_names_lost,
         ]
         .map(Counter::get);
         let ahead = self.ahead.map_or_else(String::new, |(id, by_ns)| {
@@ -77,6 +78,10 @@ impl Core {
             ("over rate", "samples were refused because their key sends more than [input] max_rate_hz"),
             ("stamps ahead", stamps.as_str()),
             ("delivery dropped", "documents were given up: too many waited for a receiver outside the bus"),
+            (
+                "birth names",
+                "names of Sparkplug B births were not kept: too many nodes, or too many or too long names of one",
+            ),
         ];
         for ((key, text), (now, before)) in what.into_iter().zip(now.into_iter().zip(self.losses)) {
             if now > before {
