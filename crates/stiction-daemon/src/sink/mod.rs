@@ -2,6 +2,7 @@
 
 pub mod deliver;
 pub mod keeper;
+pub mod mark;
 pub mod recorder;
 pub mod signing;
 pub mod zenoh;
