@@ -1,5 +1,6 @@
 //! `stictiond run`: the daemon.
 
+use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -36,6 +37,23 @@ pub struct Args {
     pub health_every_s: Option<f64>,
 }
 
+/// How Zenoh shares its work among threads, which it reads from the environment alone, before its first thread. Connections
+/// are accepted by the thread that also sends those away that are too many: on two threads the one runs ahead of the other,
+/// and what waits between them takes all descriptors.
+const ZENOH_THREADS: [&str; 2] = ["ZENOH_RUNTIME", "(acc:(handover:net))"];
+
+/// Starts this program again with the setting, in place of itself. Where that cannot be done it goes on without.
+fn share_zenoh_threads() {
+    let [name, value] = ZENOH_THREADS;
+    let (mut args, program) = (std::env::args_os(), std::env::current_exe());
+    if std::env::var_os(name).is_some() {
+        return;
+    }
+    let (Some(own_name), Ok(program)) = (args.next(), program) else { return };
+    let error = std::process::Command::new(program).arg0(own_name).args(args).env(name, value).exec();
+    tracing::warn!(%error, "cannot start with {name}={value}: set it in the environment");
+}
+
 /// Reads a number of seconds that a timer takes.
 fn seconds(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|s| (0.01..=3600.0).contains(s));
@@ -55,6 +73,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(id) = args.id.as_ref().filter(|id| id.is_empty() || !is_id(id)) {
         bail!("--id {id:?} is not a valid name; use up to 64 letters, digits and . _ -");
     }
+    share_zenoh_threads();
     let file = ConfigFile { path: args.config.clone(), id: args.id.clone(), shard: args.shard };
     let (config, text) = file.read()?;
     block_on(async {

@@ -14,9 +14,15 @@ use stiction_files::export::names::role;
 use stiction_monitor::codec::topic::{Leaf, Topic};
 use stiction_monitor::codec::{Bundle, CodecError, Field, Memory, decode_fields};
 use stiction_monitor::config::{Config, NAME_MARK};
+use stiction_monitor::short_hash;
 
-/// Most keys that are known to carry signals; more still do, without a share of the queue of their own.
+/// Most keys that are known to carry signals, and their bytes; more still do, without a share of the queue of their own.
 const MAX_KEYS: usize = 100_000;
+const MAX_KEY_BYTES: usize = 16 << 20;
+/// Longest key of a bundle and longest name in one that mean a signal, bytes.
+const MAX_NAME_BYTES: usize = 512;
+/// Longest text that names a source, bytes; of longer ones only a hash is kept.
+const MAX_SOURCE_BYTES: usize = 256;
 
 /// The first chunk of a key of Sparkplug B.
 const SPARKPLUG: &str = "spBv1.0/";
@@ -56,6 +62,7 @@ pub struct Bundles {
     keys: Vec<(KeyExpr<'static>, String)>,
     mapped: Mapped,
     carriers: HashSet<Box<str>>,
+    carrier_bytes: usize,
     memory: Memory,
 }
 
@@ -70,6 +77,7 @@ impl Bundles {
             keys: keys.collect(),
             mapped: mapped(config),
             carriers: HashSet::new(),
+            carrier_bytes: 0,
             memory: Memory::default(),
         }
     }
@@ -93,8 +101,8 @@ impl Bundles {
         if self.mapped.contains_key(key) {
             return Some(matching().unwrap_or(stiction_monitor::codec::AUTO));
         }
-        let raw = Topic::parse(Some(&self.prefix), key).is_some_and(|t| matches!(t.leaf, Leaf::Raw(_)));
-        if raw { None } else { matching() }
+        let raw = || Topic::parse(Some(&self.prefix), key).is_some_and(|t| matches!(t.leaf, Leaf::Raw(_)));
+        if key.len() > MAX_NAME_BYTES || raw() { None } else { matching() }
     }
 
     /// The signals in a payload, the codec that read them, and how many values mean none.
@@ -121,7 +129,7 @@ impl Bundles {
         for (field, found) in fields.iter().zip(&ranked) {
             let Some((loop_name, signal, rank)) = found else { continue };
             if best.get(&(loop_name.as_str(), *signal)) == Some(rank) {
-                let source = format!("{}{NAME_MARK}{}", sender_of(bundle.key), field.name);
+                let source = source_of(&sender_of(bundle.key), &field.name);
                 meant.push(Meant { loop_name: loop_name.clone(), sample: field.sample(*signal), source });
             }
         }
@@ -131,6 +139,9 @@ impl Bundles {
 
     /// Loop, signal and rank of a value: as mapped, else by its name.
     fn meaning(&self, key: &str, field: &Field) -> Option<(String, Signal, usize)> {
+        if field.name.len() > MAX_NAME_BYTES {
+            return None;
+        }
         if let Some(names) = self.mapped.get(key)
             && let Some((loop_name, signal)) = names.get(&field.name).or_else(|| names.get(field.own_name()))
         {
@@ -153,8 +164,26 @@ impl Bundles {
 
     /// Whether a key is found to carry signals for the first time.
     pub fn is_new_carrier(&mut self, key: &str) -> bool {
-        self.carriers.len() < MAX_KEYS && !self.carriers.contains(key) && self.carriers.insert(key.into())
+        let is_new = !self.carriers.contains(key)
+            && self.carriers.len() < MAX_KEYS
+            && self.carrier_bytes + key.len() <= MAX_KEY_BYTES
+            && self.carriers.insert(key.into());
+        self.carrier_bytes += if is_new { key.len() } else { 0 };
+        is_new
     }
+
+    /// Names of births that were not kept since this was asked last.
+    pub fn take_names_lost(&mut self) -> u64 {
+        self.memory.take_lost()
+    }
+}
+
+/// Sender and name of a value, as [`super::feeds`] keeps them of every signal.
+fn source_of(sender: &str, name: &str) -> String {
+    if sender.len() + name.len() < MAX_SOURCE_BYTES {
+        return format!("{sender}{NAME_MARK}{name}");
+    }
+    format!("{}{NAME_MARK}{}", short_hash(sender.as_bytes()), short_hash(name.as_bytes()))
 }
 
 /// Who sends under a key. Sparkplug B has the kind of message in it, which says nothing of the sender.
@@ -198,6 +227,19 @@ mod tests {
         assert_eq!((found.as_slice(), left), (wanted.as_slice(), 1));
         assert_eq!(read(&mut all, "p/u1/TIC3", r#"{"op": 5}"#).0, [("u1/TIC3".to_owned(), Signal::Op, n(5.0))]);
         assert_eq!(read(&mut all, "gw/TIC4", "pid pv=6").0, [("pid".to_owned(), Signal::Pv, n(6.0))]);
+    }
+
+    #[test]
+    fn long_keys_and_names_of_strangers_leave_little_behind() {
+        let mut all = bundles("[[bundle]]\nkey = \"gw/**\"\n");
+        assert_eq!(all.codec_of(&format!("gw/{}", "k".repeat(MAX_NAME_BYTES))), None);
+        let long = "n".repeat(10_000);
+        assert_eq!(read(&mut all, "gw/x", &format!(r#"{{"{long}": {{"FIC101.op": 1}}}}"#)), (vec![], 1));
+        let (sender, name) = ("gw/a".repeat(60), "u1.FIC101.OP".repeat(20));
+        let source = source_of(&sender, &name);
+        assert!(source.len() <= MAX_SOURCE_BYTES && source != source_of(&sender, &name[1..]));
+        let carriers = (0..100_000).filter(|k| all.is_new_carrier(&format!("gw/{k:0500}"))).count();
+        assert_eq!(carriers, MAX_KEY_BYTES / 503);
     }
 
     #[test]

@@ -88,7 +88,7 @@ pub struct Feeds {
 }
 
 impl Feeds {
-    /// Without bundles and mapped keys each signal has one key, and nothing is remembered.
+    /// Without bundles and mapped keys each signal has one key, and nothing is remembered but of those that are watched.
     #[must_use]
     pub fn new(config: &Config) -> Self {
         Self { is_on: can_have_several(config), owners: HashMap::new() }
@@ -102,7 +102,7 @@ impl Feeds {
 
     /// A value of a signal came from a source in this message, stamped so.
     pub fn feed(&mut self, (id, signal): (LoopId, Signal), source: &str, message: u64, t_ns: i64) -> Feed {
-        if !self.is_on {
+        if !self.is_on && !self.is_watched((id, signal)) {
             return Feed::Taken;
         }
         let new = || Owner::new(source, message, t_ns);
@@ -116,8 +116,21 @@ impl Feeds {
         let from = std::mem::replace(owner, Owner::new(source, message, t_ns)).source;
         // What comes rarely, such as the mode, cannot be told from what is silent: it goes along.
         let gateway = gateway_of(&from);
-        self.owners.retain(|(of, _), owner| *of != id || gateway_of(&owner.source) != gateway);
+        if gateway != gateway_of(source) {
+            self.owners.retain(|(of, _), owner| *of != id || gateway_of(&owner.source) != gateway);
+        }
         Feed::TakenOver { from }
+    }
+
+    /// Whether it is known what feeds a signal.
+    #[must_use]
+    pub fn is_watched(&self, signal: (LoopId, Signal)) -> bool {
+        !self.owners.is_empty() && self.owners.contains_key(&signal)
+    }
+
+    /// From now on a signal is watched that this source feeds.
+    pub fn watch(&mut self, signal: (LoopId, Signal), source: &str, message: u64, t_ns: i64) {
+        self.owners.entry(signal).or_insert_with(|| Owner::new(source, message, t_ns));
     }
 
     /// Signals whose source it remembers.
@@ -179,7 +192,8 @@ impl Owner {
             waiting.message = message;
             waiting.messages += 1;
         }
-        if gateway_of(source) == gateway_of(&self.source) {
+        // The same key in other letters is another gateway's: both mean the same signal.
+        if gateway_of(source) == gateway_of(&self.source) && !source.eq_ignore_ascii_case(&self.source) {
             return false;
         }
         let limit_ns = if self.interval_ns > 0.0 { (INTERVALS * self.interval_ns).max(LEAST_NS) } else { UNKNOWN_NS };
@@ -312,5 +326,19 @@ mod tests {
         let id = stiction_monitor::engine::Engine::new(Config::with_prefix("p").engine()).appear("L").unwrap();
         assert_eq!(feeds.feed((id, Signal::Op), "p/L/op", 1, 0), Feed::Taken);
         assert!(feeds.owners.is_empty());
+    }
+
+    #[test]
+    fn one_key_in_two_spellings_is_two_sources_and_the_one_that_stays_is_taken() {
+        let mut one = Loop { feeds: Feeds::new(&Config::with_prefix("p")), ..Loop::new() };
+        assert_eq!(one.hear(Signal::Op, "p/L/op", 0), Feed::Taken);
+        one.feeds.watch((one.id, Signal::Op), "p/L/op", 1, 0);
+        let heard: Vec<[Feed; 2]> =
+            (1..9).map(|k| [one.hear(Signal::Op, "p/L/OP", k), one.hear(Signal::Op, "p/L/op", k)]).collect();
+        assert!(heard.iter().all(|[second, _]| *second == Feed::Ignored));
+        assert_eq!(heard[7][1], Feed::Contested { other: "p/L/OP".into() });
+        let alone: Vec<Feed> = (10..30).map(|k| one.hear(Signal::Op, "p/L/OP", k)).collect();
+        assert!(alone.contains(&Feed::TakenOver { from: "p/L/op".into() }));
+        assert_eq!(one.hear(Signal::Op, "p/L/op", 30), Feed::Ignored, "still watched");
     }
 }

@@ -68,7 +68,7 @@ use crate::sink::recorder::{RecordedConfig, RunInfo};
 use crate::source::askers::Askers;
 use crate::source::queries::Queries;
 use crate::source::replies::Replies;
-use crate::source::{CONTROL_QUEUE, Message, presence};
+use crate::source::{CONTROL_QUEUE, Message, descriptors, presence};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
 use stiction_runtime::clock::Clock;
@@ -179,7 +179,7 @@ pub async fn run(
     };
     tracing::info!("stopping");
     tell_system(&[NotifyState::Stopping]);
-    presence.watching.abort();
+    presence.watching.iter().for_each(JoinHandle::abort);
     drop(control);
     reload.close().await;
     presence.end().await;
@@ -229,7 +229,7 @@ struct Presence {
     /// The endpoints on which it listens, or tries to.
     listening: Vec<String>,
     foreign: [Subscriber<()>; 2],
-    watching: JoinHandle<()>,
+    watching: [JoinHandle<()>; 2],
     token: LivelinessToken,
 }
 
@@ -253,7 +253,10 @@ impl Presence {
             tokio::spawn(presence::watch_listening(session.clone(), bus.clone(), faults.clone()));
         }
         let own = (prefix.clone(), daemon_id.to_owned());
-        let watching = tokio::spawn(presence::watch(session.clone(), bus, own, faults.clone()));
+        let watching = [
+            tokio::spawn(presence::watch(session.clone(), bus, own, faults.clone())),
+            tokio::spawn(descriptors::watch(faults.clone())),
+        ];
         let key = topic::plane(prefix, &format!("@daemon/{daemon_id}"));
         let token = session.liveliness().declare_token(&key).await.map_err(|e| anyhow!("{key}: {e}"))?;
         Ok(Self { listening, foreign, watching, token })

@@ -483,8 +483,14 @@ mod tests {
         (0..3).for_each(|index| recording(dir.path(), index));
         let run = |verified| {
             let (faults, metrics) = (Arc::<Faults>::default(), Arc::<Metrics>::default());
-            let (keeper, mut store) =
-                Keeper::pair(dir.path(), "p", None, Arc::new(SystemDisk), faults.clone(), metrics.clone());
+            let (keeper, mut store) = Keeper::pair(
+                dir.path(),
+                "p",
+                (None, Default::default()),
+                Arc::new(SystemDisk),
+                faults.clone(),
+                metrics.clone(),
+            );
             let mut worker = worker(dir.path(), verified, Some(keeper.notes()));
             worker.keep();
             worker.check_all();

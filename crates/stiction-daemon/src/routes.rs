@@ -1,10 +1,11 @@
 //! Which loop and signal a key means: mapped keys first, then everything below the prefix.
 
+use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 
 use crate::source::shares::Shares;
 use stiction_core::record::Signal;
-use stiction_monitor::codec::topic::{Leaf, Topic};
+use stiction_monitor::codec::topic::{Leaf, Topic, leaf};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, LoopId};
 use stiction_monitor::shard::Shard;
@@ -66,11 +67,23 @@ impl Routes {
             None => Route::Foreign,
             Some((name, signal)) => self.to_loop(name, signal, engine, may_appear),
         };
-        if matches!(route, Route::To(..)) {
+        if matches!(route, Route::To(..)) && (is_usual(leaf(key)) || self.mapped.contains_key(key)) {
             self.known.insert(key.into(), route);
             self.shares.learn(key);
         }
         route
+    }
+
+    /// The first of the keys that mean a signal and differ in the letters of their last chunk alone, where this key is not
+    /// the usual one: that, if it was heard before.
+    #[must_use]
+    pub fn respelled<'k>(&self, key: &'k str) -> Option<Cow<'k, str>> {
+        let last = leaf(key);
+        if !last.bytes().any(|b| b.is_ascii_uppercase()) {
+            return None;
+        }
+        let usual = format!("{}{}", &key[..key.len() - last.len()], last.to_ascii_lowercase());
+        Some(if self.known.contains_key(usual.as_str()) { Cow::Owned(usual) } else { Cow::Borrowed(key) })
     }
 
     /// The loop and the signal that a key means.
@@ -136,6 +149,11 @@ impl Routes {
     }
 }
 
+/// Whether a signal's name is written in small letters or in capitals; other spellings are understood, and not kept.
+fn is_usual(leaf: &str) -> bool {
+    !leaf.bytes().any(|b| b.is_ascii_uppercase()) || !leaf.bytes().any(|b| b.is_ascii_lowercase())
+}
+
 /// Whether a name may become a loop's: short, and nothing that steers a terminal.
 fn is_sound(name: &str) -> bool {
     !name.is_empty() && name.len() <= NAME_BYTES && !name.chars().any(char::is_control)
@@ -184,6 +202,24 @@ mod tests {
         for name in ["\u{1b}[2J", "a\u{7}b", &"n".repeat(300)] {
             assert_eq!(routes.of(&format!("p/{name}/op"), &mut engine, || true), Route::Refused);
         }
+    }
+
+    #[test]
+    fn spellings_of_a_signal_are_one_signal_and_few_are_kept() {
+        let (mut engine, mut routes) = setup("[site]\nprefix = \"p\"\n");
+        let Route::To(id, _) = routes.of("p/A/mode", &mut engine, || true) else { panic!() };
+        for k in 0..16 {
+            let mode: String = "mode"
+                .chars()
+                .enumerate()
+                .map(|(i, c)| if k >> i & 1 == 1 { c.to_ascii_uppercase() } else { c })
+                .collect();
+            assert_eq!(routes.of(&format!("p/A/{mode}"), &mut engine, || true), Route::To(id, Signal::Mode));
+        }
+        assert_eq!(routes.count(), 2);
+        assert_eq!(routes.respelled("p/A/mode"), None);
+        assert_eq!(routes.respelled("p/A/MODE").as_deref(), Some("p/A/mode"));
+        assert_eq!(routes.respelled("p/A/PV").as_deref(), Some("p/A/PV"), "it came first");
     }
 
     #[test]

@@ -22,6 +22,7 @@ use super::retention::{RetentionParts, RetentionWorker};
 use super::worker::{Answered, Job, Workers};
 use crate::sink::deliver::{Delivery, MakeTarget, Outbox};
 use crate::sink::keeper::{self, Keeper};
+use crate::sink::mark::Mark;
 use crate::sink::recorder::{RecordedConfig, Recorder, RunInfo, Writer};
 use crate::sink::zenoh::{Outgoing, Publication, Publisher};
 use crate::source::shares::Shares;
@@ -104,7 +105,9 @@ impl SimDaemon {
         let run_id = run.run_id.clone();
         let place = (disk.clone(), clock.clone());
         let (recorder, writer) = Recorder::pair(run, config.recording.clone(), place, metrics.clone(), faults.clone());
-        let (keeper, keeping) = Keeper::pair(&dir, &prefix, store, disk.clone(), faults.clone(), metrics.clone());
+        let mark = Mark::default();
+        let stored = (store, mark.clone());
+        let (keeper, keeping) = Keeper::pair(&dir, &prefix, stored, disk.clone(), faults.clone(), metrics.clone());
         if let Some(runs) = runs.and(&run_id) {
             keeper.notes().runs(&prefix, runs);
         }
@@ -119,7 +122,7 @@ impl SimDaemon {
         let (diagnoser, gap_requests, gap_answers) = Diagnoser::ends();
         let (comparer, comparisons, compared) = Comparer::ends();
         let (outbox, delivery) =
-            Outbox::pair(&config, &dir, (disk.clone(), clock.clone()), receiver, &faults, &metrics)?;
+            Outbox::pair(&config, &dir, (disk.clone(), clock.clone(), mark), receiver, &faults, &metrics)?;
         let (overview, current) = (Overview::default(), CurrentConfig::new(config.clone()));
         let parts = DataHealthParts {
             config: current.clone(),
@@ -290,8 +293,9 @@ impl SimDaemon {
         self.writer.turn();
     }
 
-    /// The store of states writes what waits for it; says whether it could.
+    /// The store of states writes what waits for it, after that of documents; says whether it could.
     pub fn keep(&mut self) -> bool {
+        self.delivery.store();
         self.keeping.turn()
     }
 
@@ -357,8 +361,8 @@ impl SimDaemon {
         self.core.finish(&self.incoming, &self.wishes, &self.answered);
         self.writer.turn();
         self.writer.finish();
-        self.keeping.turn();
         self.delivery.turn();
+        self.keeping.turn();
         self.published().collect()
     }
 }

@@ -17,6 +17,7 @@ use super::retention::{self, RetentionParts};
 use super::shutdown::{self, NamedThread};
 use crate::sink::deliver::Outbox;
 use crate::sink::keeper::Keeper;
+use crate::sink::mark::Mark;
 use crate::sink::recorder::{Recorder, RunInfo};
 use crate::sink::zenoh::Publisher;
 use crate::source::shares::Shares;
@@ -191,9 +192,10 @@ pub(super) fn threads(
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
     let mut threads = vec![("recorder", recording), ("publisher", publishing)];
     let prefix = &config.site.prefix;
-    let mut keeper = None;
+    let (mut keeper, mark) = (None, Mark::default());
     if is_kept {
-        let (started, keeping) = Keeper::start(recordings, prefix, restored.store, faults.clone(), metrics.clone())?;
+        let stored = (restored.store, mark.clone());
+        let (started, keeping) = Keeper::start(recordings, prefix, stored, faults.clone(), metrics.clone())?;
         if let Some(runs) = restored.runs.and(&run_id) {
             started.notes().runs(prefix, runs);
         }
@@ -215,7 +217,7 @@ pub(super) fn threads(
     };
     threads.push((shutdown::RETENTION, retention::start(parts, retention_stops)?));
     let mut outbox = None;
-    if let Some((started, keeping)) = Outbox::start(config, recordings, faults, metrics)? {
+    if let Some((started, keeping)) = Outbox::start(config, recordings, &mark, faults, metrics)? {
         outbox = Some(started);
         threads.push(("outbox", keeping));
     }

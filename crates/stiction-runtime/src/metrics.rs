@@ -101,6 +101,7 @@ counters! {
     over_share: "Those of them whose key, or whose unknown keys together, held most of the queue",
     undecodable: "Messages whose payload could not be read",
     unmapped_values: "Values of bundles that are no signal of a loop",
+    birth_names_lost: "Names of Sparkplug B births that were not kept, or were forgotten for those of nodes heard since",
     second_source: "Values ignored because another source feeds their signal",
     source_changes: "Times a signal was taken from another source because its own was silent",
     foreign_keys: "Messages under the prefix whose key names no signal",

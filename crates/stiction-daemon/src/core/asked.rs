@@ -11,7 +11,8 @@ use stiction_monitor::engine::{
 use stiction_runtime::control::{Answer, WindowSnapshot};
 
 impl Core {
-    /// Carries a command out. The answer says that its effect is on the disk: a crash after it changes nothing.
+    /// Carries a command out. The answer says that its effect is on the disk, and the document for receivers too: a crash
+    /// after it changes nothing.
     pub(super) fn take_command(&mut self, loop_name: &str, command: &Command, answer: Answer) {
         // The daemon of the loop's shard answers.
         if !self.config.shard.owns(loop_name) {
@@ -62,7 +63,7 @@ impl Core {
                 }
             });
         };
-        keeper.keep_then(self.engine.name(id), state, Box::new(kept));
+        keeper.keep_then(self.engine.name(id), state, self.clock.now(), Box::new(kept));
     }
 
     fn command(&mut self, loop_name: &str, command: &Command) -> Result<(LoopId, AlarmDocument), CommandError> {

@@ -36,7 +36,10 @@ impl Core {
             Ok(name) => self.count_codec(name),
             Err(error) => self.count_undecodable(m, &error),
         }
-        let feeds = samples.first().is_none_or(|first| self.is_fed_by(id, signal, m.buf.key(), first.t_ns));
+        let feeds = samples.first().is_none_or(|first| {
+            self.watch_respelled(id, signal, m.buf.key(), first.t_ns);
+            self.is_fed_by(id, signal, m.buf.key(), first.t_ns)
+        });
         if !feeds {
             self.metrics.second_source.inc_by(samples.len() as u64);
             samples.clear();
@@ -60,7 +63,9 @@ impl Core {
     fn take_bundle(&mut self, m: &Message, codec: &str) {
         let fallback_t_ns = m.bus_ns.unwrap_or(m.arrival_ns);
         let bundle = Bundle { key: m.buf.key(), payload: m.buf.payload(), fallback_t_ns };
-        let (meant, name, left) = match self.bundles.read(&bundle, m.buf.encoding(), codec) {
+        let read = self.bundles.read(&bundle, m.buf.encoding(), codec);
+        self.metrics.birth_names_lost.inc_by(self.bundles.take_names_lost());
+        let (meant, name, left) = match read {
             Ok(read) => read,
             Err(error) => return self.count_undecodable(m, &error),
         };
@@ -80,6 +85,15 @@ impl Core {
             }
             self.register(id);
             self.take_sample(id, one.sample, m.arrival_ns);
+        }
+    }
+
+    /// A key in other letters than usual may have another beside it that means the same signal: two sources.
+    fn watch_respelled(&mut self, id: LoopId, signal: Signal, key: &str, t_ns: i64) {
+        if !self.feeds.is_watched((id, signal))
+            && let Some(first) = self.routes.respelled(key)
+        {
+            self.feeds.watch((id, signal), &first, self.taken, t_ns);
         }
     }
 

@@ -104,7 +104,7 @@ pub struct Core {
     clock: Clock,
     health_every: Duration,
     started: Instant,
-    losses: [u64; 8],
+    losses: [u64; 9],
     limits: Limits,
     /// The loop whose stamp was refused last for being ahead, and by how much it was, ns.
     ahead: Option<(LoopId, i64)>,
@@ -198,7 +198,7 @@ impl Core {
             started: parts.clock.now(),
             clock: parts.clock,
             health_every: parts.health_every,
-            losses: [0; 8],
+            losses: [0; 9],
             limits,
             ahead: None,
             warned_quality: false,

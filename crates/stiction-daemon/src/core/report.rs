@@ -8,6 +8,7 @@ use prometheus_client::metrics::counter::Counter;
 use super::super::gaps;
 use super::super::schedule::{LIMIT, LIMIT_BYTES};
 use super::{Core, to_json};
+use crate::sink::deliver::Outbox;
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{self, Recorder};
 use crate::sink::zenoh::{self as bus, Publication};
@@ -24,6 +25,8 @@ const LOOP_HEALTH_SLICES: usize = 12;
 const LOSS_SHOWN: Duration = Duration::from_secs(60);
 /// Name of the fault while the recording disk hangs or is too slow.
 const STALL: &str = "recording stalls";
+/// Name of the fault while the disk hangs and documents go to receivers without being stored.
+const UNSTORED: &str = "delivery unstored";
 /// What has stopped then, in the health document.
 const RECORDING: &str = "recording";
 
@@ -34,6 +37,7 @@ impl Core {
         self.metrics.loops.set(loops as i64);
         self.report_losses();
         self.keep_all_again();
+        self.watch_stores();
         self.sweep_some(LOOP_HEALTH_SLICES);
         let stopped = self.stopped();
         let health = self.health(loops, input_waiting, stopped);
@@ -61,6 +65,7 @@ impl Core {
             &m.over_rate,
             &m.stamps_ahead,
             &m.delivery_dropped,
+            &m.birth_names_lost,
         ]
         .map(Counter::get);
         let ahead = self.ahead.map_or_else(String::new, |(id, by_ns)| {
@@ -77,6 +82,10 @@ impl Core {
             ("over rate", "samples were refused because their key sends more than [input] max_rate_hz"),
             ("stamps ahead", stamps.as_str()),
             ("delivery dropped", "documents were given up: too many waited for a receiver outside the bus"),
+            (
+                "birth names",
+                "names of Sparkplug B births were not kept: too many nodes, or too many or too long names of one",
+            ),
         ];
         for ((key, text), (now, before)) in what.into_iter().zip(now.into_iter().zip(self.losses)) {
             if now > before {
@@ -84,6 +93,17 @@ impl Core {
             }
         }
         self.losses = now;
+    }
+
+    /// A store that does not answer holds up neither documents nor those who ask.
+    fn watch_stores(&self) {
+        match self.outbox.as_ref().and_then(Outbox::stall) {
+            Some(why) => self.faults.raise(UNSTORED, why),
+            None => self.faults.clear(UNSTORED),
+        }
+        if let Some(keeper) = &self.keeper {
+            keeper.tell_late(self.clock.now());
+        }
     }
 
     /// Where the store was taken away under the daemon, every loop's memory goes into the new one.

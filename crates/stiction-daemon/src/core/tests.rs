@@ -168,3 +168,21 @@ proptest! {
         prop_assert_eq!(plant.recordings(), files, "a reload opens no file of loops that left");
     }
 }
+
+#[test]
+fn two_gateways_that_spell_a_signal_differently_are_two_sources() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = format!("[site]\nprefix = \"p\"\n[recording]\ndir = {:?}\n", dir.path().to_str().unwrap());
+    let (clock, disk) = (Clock::standing(START_NS), Arc::new(SystemDisk) as Arc<dyn Disk>);
+    let mut stage = SimDaemon::start(Config::parse(&text).unwrap(), &text, &clock, &disk, no_receiver).unwrap();
+    for k in 0..20 {
+        for (signal, v) in [("op", 50), ("OP", 10)] {
+            let sample = format!(r#"{{"t": {}, "v": {v}}}"#, START_NS + k * 1_000_000_000);
+            stage.deliver(&format!("p/L/{signal}"), sample.as_bytes());
+        }
+    }
+    stage.turn();
+    assert_eq!(stage.metrics().second_source.get(), 20);
+    let named = "L op comes from two sources at once: p/L/op is taken, p/L/OP is ignored";
+    assert!(stage.faults().iter().any(|fault| fault.contains(named)), "{:?}", stage.faults());
+}

@@ -2,16 +2,18 @@
 //! that were found whole.
 //!
 //! A thread of its own. What waits for it is the newest state of each loop, so it never grows beyond the loops; states
-//! that come together are one transaction. An answer to a command waits for its transaction. While the disk refuses,
-//! states wait, commands are answered with that, and the fault says so; nothing else stops.
+//! that come together are one transaction. It comes after the documents that were handed over for receivers before, so that
+//! no stored state hides one that was lost; an answer to a command waits for both. While the disk refuses, states wait,
+//! commands are answered with that, and the fault says so; nothing else stops.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use super::mark::Mark;
 use crate::restore::open_store;
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_files::store::{STORE_NAME, StateStore, key_of, key_of_data_health, key_of_runs, key_of_verified};
@@ -22,11 +24,21 @@ use stiction_runtime::metrics::Metrics;
 const GATHER: Duration = Duration::from_millis(200);
 /// Pause after an error before the store is tried again.
 const RETRY: Duration = Duration::from_secs(2);
+/// How long somebody waits for the disk before he is told that it does not answer.
+const LATE: Duration = Duration::from_secs(3);
 /// Name of its fault.
 const FAULT: &str = "state";
 
 /// Told once the state is on the disk, or why it is not.
 pub type Kept = Box<dyn FnOnce(Result<(), String>) + Send>;
+
+/// Somebody who waits for the disk.
+struct Waiter {
+    /// Which of all who waited.
+    number: u64,
+    since: Instant,
+    kept: Kept,
+}
 
 /// Newest values by key; none where nothing is kept any more.
 type States = BTreeMap<String, Option<Vec<u8>>>;
@@ -34,12 +46,33 @@ type States = BTreeMap<String, Option<Vec<u8>>>;
 #[derive(Default)]
 struct Pending {
     states: States,
-    waiters: Vec<Kept>,
+    waiters: Vec<Waiter>,
+    /// How many have waited so far.
+    asked: u64,
+    /// The newest document that was handed over before.
+    after: u64,
     closed: bool,
+}
+
+/// What is stored together.
+struct Batch {
+    states: States,
+    /// The last one who waits for it.
+    asked: u64,
+    after: u64,
+    is_last: bool,
+}
+
+impl Pending {
+    fn take(&mut self) -> Batch {
+        Batch { states: std::mem::take(&mut self.states), asked: self.asked, after: self.after, is_last: self.closed }
+    }
 }
 
 #[derive(Default)]
 struct Shared {
+    /// How far the store of documents is.
+    mark: Mark,
     pending: Mutex<Pending>,
     wake: Condvar,
     /// The store was taken away: what it held must come again.
@@ -60,7 +93,8 @@ impl Drop for Keeper {
 }
 
 impl Keeper {
-    /// Starts the thread; `store` is the one that was open already, if it was. It ends when the `Keeper` is dropped and
+    /// Starts the thread; `store` is the one that was open already, if it was, and `mark` says how far the store of documents
+    /// is. It ends when the `Keeper` is dropped and
     /// all states are stored, or cannot be.
     ///
     /// # Errors
@@ -68,11 +102,11 @@ impl Keeper {
     pub fn start(
         dir: &Path,
         prefix: &str,
-        store: Option<StateStore>,
+        (store, mark): (Option<StateStore>, Mark),
         faults: Arc<Faults>,
         metrics: Arc<Metrics>,
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
-        let (keeper, mut worker) = Self::pair(dir, prefix, store, Arc::new(SystemDisk), faults, metrics);
+        let (keeper, mut worker) = Self::pair(dir, prefix, (store, mark), Arc::new(SystemDisk), faults, metrics);
         let thread = std::thread::Builder::new().name("state".into()).spawn(move || worker.run())?;
         Ok((keeper, thread))
     }
@@ -82,12 +116,12 @@ impl Keeper {
     pub fn pair(
         dir: &Path,
         prefix: &str,
-        store: Option<StateStore>,
+        (store, mark): (Option<StateStore>, Mark),
         disk: Arc<dyn Disk>,
         faults: Arc<Faults>,
         metrics: Arc<Metrics>,
     ) -> (Self, Worker) {
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::new(Shared { mark, ..Shared::default() });
         let worker = Worker { path: dir.join(STORE_NAME), store, disk, shared: shared.clone(), faults, metrics };
         (Self { shared, prefix: prefix.to_owned() }, worker)
     }
@@ -103,8 +137,17 @@ impl Keeper {
     }
 
     /// Keeps it at once and tells when it is on the disk.
-    pub fn keep_then(&self, loop_name: &str, json: Vec<u8>, kept: Kept) {
-        self.put(loop_name, Some(json), Some(kept));
+    pub fn keep_then(&self, loop_name: &str, json: Vec<u8>, now: Instant, kept: Kept) {
+        self.put(loop_name, Some(json), Some((now, kept)));
+    }
+
+    /// Tells those who have waited long that the disk does not answer.
+    pub fn tell_late(&self, now: Instant) {
+        let is_late = |waiter: &Waiter| now.saturating_duration_since(waiter.since) >= LATE;
+        for waiter in self.shared.take_waiters(is_late) {
+            let s = now.saturating_duration_since(waiter.since).as_secs();
+            (waiter.kept)(Err(format!("the disk has not answered for {s} s")));
+        }
     }
 
     /// Where notes of recordings go.
@@ -119,17 +162,30 @@ impl Keeper {
         self.shared.wants_all.swap(false, Ordering::Relaxed)
     }
 
-    fn put(&self, loop_name: &str, json: Option<Vec<u8>>, kept: Option<Kept>) {
+    fn put(&self, loop_name: &str, json: Option<Vec<u8>>, kept: Option<(Instant, Kept)>) {
         self.shared.put(key_of(&self.prefix, loop_name), json, kept);
     }
 }
 
 impl Shared {
-    fn put(&self, key: String, json: Option<Vec<u8>>, kept: Option<Kept>) {
+    /// Those who wait and are so, who wait no longer.
+    fn take_waiters(&self, is_so: impl Fn(&Waiter) -> bool) -> Vec<Waiter> {
+        let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        let (taken, left) = std::mem::take(&mut pending.waiters).into_iter().partition(is_so);
+        pending.waiters = left;
+        taken
+    }
+
+    fn put(&self, key: String, json: Option<Vec<u8>>, kept: Option<(Instant, Kept)>) {
         let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
         pending.states.insert(key, json);
+        pending.after = self.mark.handed();
         let urgent = kept.is_some();
-        pending.waiters.extend(kept);
+        if let Some((since, kept)) = kept {
+            pending.asked += 1;
+            let number = pending.asked;
+            pending.waiters.push(Waiter { number, since, kept });
+        }
         let first = pending.states.len() == 1;
         drop(pending);
         if urgent || first {
@@ -176,9 +232,11 @@ pub struct Worker {
 impl Worker {
     fn run(&mut self) {
         loop {
-            let (states, waiters, closed) = self.next();
-            let saved = self.settle(states, waiters);
-            if closed {
+            let batch = self.next();
+            let is_last = batch.is_last;
+            let documents = self.shared.mark.wait(batch.after);
+            let saved = self.settle(batch, &documents);
+            if is_last {
                 return;
             }
             if !saved {
@@ -187,13 +245,14 @@ impl Worker {
         }
     }
 
-    /// Stores what waits now, without waiting for more; says whether it could.
+    /// Stores what waits now, without waiting for more; says whether it could. What comes after documents that are not stored
+    /// waits for the next turn.
     pub fn turn(&mut self) -> bool {
-        let (states, waiters) = {
-            let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
-            (std::mem::take(&mut pending.states), std::mem::take(&mut pending.waiters))
-        };
-        self.settle(states, waiters)
+        let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(documents) = self.shared.mark.look(pending.after) else { return true };
+        let batch = pending.take();
+        drop(pending);
+        self.settle(batch, &documents)
     }
 
     /// States that wait.
@@ -202,8 +261,8 @@ impl Worker {
         self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner).states.len()
     }
 
-    /// Stores states and tells whoever waits for them.
-    fn settle(&mut self, states: States, waiters: Vec<Kept>) -> bool {
+    /// Stores states and tells whoever waits for them, also what has become of the documents before them.
+    fn settle(&mut self, Batch { states, asked, .. }: Batch, documents: &Result<(), String>) -> bool {
         let saved = if states.is_empty() { self.reopen() } else { self.save(&states) };
         match &saved {
             Ok(()) => self.faults.clear(FAULT),
@@ -213,14 +272,14 @@ impl Worker {
                 self.put_back(states);
             }
         }
-        for kept in waiters {
-            kept(saved.clone());
+        for waiter in self.shared.take_waiters(|waiter| waiter.number <= asked) {
+            (waiter.kept)(saved.clone().and_then(|()| documents.clone()));
         }
         saved.is_ok()
     }
 
     /// Waits for states, then a little for more of them unless somebody waits for an answer.
-    fn next(&self) -> (States, Vec<Kept>, bool) {
+    fn next(&self) -> Batch {
         let idle_still = |p: &Pending| p.states.is_empty() && !p.closed;
         let idle = |p: &mut Pending| idle_still(p);
         let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
@@ -232,12 +291,12 @@ impl Worker {
             waited.unwrap_or_else(PoisonError::into_inner).0
         };
         if idle_still(&pending) {
-            return (BTreeMap::new(), Vec::new(), false);
+            return Batch { states: BTreeMap::new(), asked: 0, after: 0, is_last: false };
         }
         let gathering = |p: &mut Pending| p.waiters.is_empty() && !p.closed;
         let (mut pending, _) =
             self.shared.wake.wait_timeout_while(pending, GATHER, gathering).unwrap_or_else(PoisonError::into_inner);
-        (std::mem::take(&mut pending.states), std::mem::take(&mut pending.waiters), pending.closed)
+        pending.take()
     }
 
     /// Opens the store where it is not open.
@@ -296,13 +355,14 @@ mod tests {
 
     fn keeper(dir: &Path) -> (Keeper, JoinHandle<()>, Arc<Faults>) {
         let faults = Arc::new(Faults::default());
-        let (keeper, thread) = Keeper::start(dir, "p", None, faults.clone(), Arc::default()).unwrap();
+        let (keeper, thread) =
+            Keeper::start(dir, "p", (None, Mark::default()), faults.clone(), Arc::default()).unwrap();
         (keeper, thread, faults)
     }
 
     fn asked(keeper: &Keeper, json: &str) -> Result<(), String> {
         let (tell, told) = std::sync::mpsc::channel();
-        keeper.keep_then("A", json.into(), Box::new(move |kept| tell.send(kept).unwrap()));
+        keeper.keep_then("A", json.into(), Instant::now(), Box::new(move |kept| tell.send(kept).unwrap()));
         told.recv().unwrap()
     }
 

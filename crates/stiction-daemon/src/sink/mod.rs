@@ -2,5 +2,6 @@
 
 pub mod deliver;
 pub mod keeper;
+pub mod mark;
 pub mod recorder;
 pub mod zenoh;

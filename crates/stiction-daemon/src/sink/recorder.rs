@@ -20,7 +20,7 @@ pub use progress::Progress;
 pub use run::{Continued, RecordedConfig, RunInfo};
 use stiction_core::record::{Sample, Signal};
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_files::{RecordingFile, WriteError};
+use stiction_files::{MAX_CHANNELS, RecordingFile, WriteError};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Recording;
 use stiction_monitor::engine::LoopId;
@@ -51,6 +51,10 @@ const RETRY: Duration = Duration::from_secs(5);
 /// Memory of an open file's index at which the next one is begun: with a thousand loops at 1 Hz that is a quarter of an
 /// hour, and without it an open file grew by some 200 MB an hour.
 const MAX_INDEX_BYTES: u64 = 64 << 20;
+
+/// Channels of an open file at which the next one is begun: loops come and go, and their channels stay. The rest is for
+/// what is on its way meanwhile.
+const MANY_CHANNELS: usize = MAX_CHANNELS / 5 * 4;
 
 /// What the engine hands to the recorder.
 #[derive(Debug)]
@@ -378,8 +382,9 @@ impl Writer {
     /// Repeats an alarm for viewers; it does not count as a message of its own.
     fn log_alarm(&mut self, index: usize, event_ns: i64, json: &[u8]) {
         let Some(file) = self.shards.get_mut(index).and_then(|shard| shard.file.as_mut()) else { return };
-        if let Err(error) = file.log_alarm(self.last_arrival_ns, event_ns, json) {
-            self.fail(index, &error.to_string());
+        match file.log_alarm(self.last_arrival_ns, event_ns, json) {
+            Ok(()) | Err(WriteError::Full { .. }) => {}
+            Err(error) => self.fail(index, &error.to_string()),
         }
     }
 
@@ -403,15 +408,31 @@ impl Writer {
         if !Arc::ptr_eq(&known.0, name) {
             *known = (name.clone(), topic_of());
         }
-        match write(file, &known.1) {
+        let written = write(file, &known.1);
+        let has_many = file.channels() >= MANY_CHANNELS;
+        match written {
             Ok(()) => {
                 shard.messages += 1;
                 shard.unflushed += 1;
             }
+            // The file goes on with the channels that it has.
+            Err(WriteError::Full { .. }) => self.lose(1),
             Err(error) => {
                 self.lose(1);
-                self.fail(index, &error.to_string());
+                return self.fail(index, &error.to_string());
             }
+        }
+        if has_many {
+            self.ask_for_next(index);
+        }
+    }
+
+    /// Asks the engine for the shard's next file; again after a while, as the answer may have found no place in the queue.
+    fn ask_for_next(&mut self, index: usize) {
+        let Some(shard) = self.shards.get_mut(index) else { return };
+        if shard.asked.is_none_or(|at| self.clock.since(at) > RETRY) {
+            shard.asked = Some(self.clock.now());
+            let _ = self.wanted.send(index);
         }
     }
 
@@ -509,8 +530,7 @@ impl Writer {
         for index in 0..self.shards.len() {
             let shard = &mut self.shards[index];
             let retry = shard.retry_at.is_some_and(|at| self.clock.now() >= at);
-            let mut failure = None;
-            let mut gone = 0;
+            let (mut failure, mut gone, mut full) = (None, 0, false);
             if let Some(file) = &mut shard.file {
                 // A file that was removed while it is open takes bytes all the same, and they go nowhere.
                 if file.is_linked() {
@@ -527,15 +547,13 @@ impl Writer {
                     failure = Some(format!("{}: was removed with {all} messages in it", file.part_path().display()));
                 }
                 let large = file.bytes_written() >= self.max_bytes || file.index_bytes() >= MAX_INDEX_BYTES;
-                let full = large || self.clock.since(shard.opened) >= self.max_age;
-                // Asked again after a while: the answer may have found no place in the queue.
-                if full && failure.is_none() && shard.asked.is_none_or(|at| self.clock.since(at) > RETRY) {
-                    shard.asked = Some(self.clock.now());
-                    let _ = self.wanted.send(index);
-                }
+                full = (large || self.clock.since(shard.opened) >= self.max_age) && failure.is_none();
             } else if retry {
                 shard.retry_at = Some(self.clock.now() + RETRY);
                 let _ = self.wanted.send(index);
+            }
+            if full {
+                self.ask_for_next(index);
             }
             self.lose(gone);
             if let Some(why) = failure {

@@ -1,6 +1,7 @@
 //! Where samples come from: the bus, behind a bounded queue that the engine drains.
 
 pub mod askers;
+pub mod descriptors;
 pub mod keys;
 pub mod message_buf;
 pub mod presence;
@@ -85,7 +86,7 @@ impl Intake {
             self.metrics.undecodable.inc();
             return;
         }
-        let held = size_of::<Message>() + envelope.key.len() + bytes;
+        let held = size_of::<Message>() + envelope.key.len() + envelope.encoding.map_or(0, str::len) + bytes;
         let Some(room) = self.budget.take(held) else {
             self.metrics.dropped_input.inc();
             return;

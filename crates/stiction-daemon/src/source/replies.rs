@@ -6,6 +6,7 @@
 //! priority of their own (see [`super::zenoh::session_config`]), because a publisher would wait behind one of its priority.
 
 use std::collections::{HashMap, VecDeque};
+use std::mem::take;
 use std::ops::Bound;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -120,7 +121,11 @@ impl Replies {
 
     /// Takes a query that is to be answered; none where too many of its link wait.
     #[must_use]
-    pub fn admit(&self, query: Query) -> Option<PendingQuery> {
+    pub fn admit(&self, mut query: Query) -> Option<PendingQuery> {
+        // Nobody reads what a query brings along, up to four megabytes: it must not wait with it.
+        for unread in [query.payload_mut().map(take), query.attachment_mut().map(take)] {
+            drop(unread);
+        }
         let bytes = size_of::<Query>() + query.key_expr().len() + query.parameters().as_str().len();
         let [waiting, surplus] = &self.budgets;
         let place = self.askers.admit(Link::current());
@@ -264,7 +269,7 @@ impl<O: Outlet> Job<O> {
                 None
             }
             Left::Document(json) => {
-                let document = std::mem::take(json);
+                let document = take(json);
                 let key = self.outlet.asked();
                 self.outlet.document(key.as_str(), LastValue { document: document.into() });
                 None

@@ -24,6 +24,11 @@ use stiction_monitor::config::Config;
 /// payload may have, so that payloads a little too large are still seen and counted.
 const MAX_MESSAGE: usize = 4 << 20;
 
+/// How long a connection may take to say who it is, and how many may be at it. Those that say nothing keep others out, a
+/// place for the time: so it is short, and the places are many, within the descriptors of the unit.
+const ACCEPT_WITHIN: Duration = Duration::from_secs(1);
+const ACCEPTED: usize = 1000;
+
 /// What the encoding of a schema names as its own.
 const SCHEMA: &str = "https://json-schema.org/draft/2020-12/schema";
 
@@ -73,6 +78,8 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
         ("connect/timeout_ms", "-1".to_owned()),
         ("connect/exit_on_failure", "false".to_owned()),
         ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
+        ("transport/unicast/accept_timeout", ACCEPT_WITHIN.as_millis().to_string()),
+        ("transport/unicast/accept_pending", ACCEPTED.to_string()),
         // Batches of 64 KiB for documents that come at once: a reader that is a little behind misses none.
         ("transport/link/tx/queue/size/data", "8".to_owned()),
         ("transport/link/tx/queue/size/interactive_high", "8".to_owned()),

@@ -1,6 +1,6 @@
 //! Named values of payloads with several signals.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use stiction_core::record::{Mode, Sample, Signal, Value};
 
@@ -17,14 +17,33 @@ pub struct Bundle<'a> {
     pub fallback_t_ns: i64,
 }
 
-/// Most names kept in [`Memory`].
-const MAX_NAMES: usize = 1_000_000;
+/// Longest name of a metric, node or device that is kept, bytes.
+const MAX_NAME_BYTES: usize = 512;
+/// Most that all names take, and those of one node, bytes.
+const MAX_BYTES: usize = 128 << 20;
+const NODE_BYTES: usize = MAX_BYTES / 4;
+/// What a node, a device and a metric take besides their names, bytes.
+const PER_NODE: usize = 320;
+const PER_DEVICE: usize = 160;
+const PER_METRIC: usize = 96;
 
-/// State kept between payloads: the names of Sparkplug B's aliases, by device.
+/// State kept between payloads: the names of Sparkplug B's aliases, by node and device. Its size is bounded in bytes: names
+/// beyond a node's share are left out, and the node that was heard longest ago goes first.
 #[derive(Debug, Default)]
 pub struct Memory {
-    devices: HashMap<String, HashMap<u64, AliasedMetric>>,
-    names: usize,
+    nodes: HashMap<Box<str>, Node>,
+    /// Nodes by when they were heard last.
+    order: BTreeMap<u64, Box<str>>,
+    heard: u64,
+    bytes: usize,
+    lost: u64,
+}
+
+#[derive(Debug, Default)]
+struct Node {
+    devices: HashMap<Box<str>, HashMap<u64, AliasedMetric>>,
+    bytes: usize,
+    heard: u64,
 }
 
 /// Meaning of an alias, from a birth message.
@@ -36,31 +55,91 @@ pub(super) struct AliasedMetric {
     pub kind: u32,
 }
 
+/// `GROUP/NODE` of `GROUP/NODE[/DEVICE]`.
+fn node_of(device: &str) -> &str {
+    let end = device.match_indices('/').nth(1).map_or(device.len(), |(end, _)| end);
+    &device[..end]
+}
+
 impl Memory {
-    /// Keeps a name; returns false if there are too many.
-    pub(super) fn learn(&mut self, device: &str, alias: u64, named: AliasedMetric) -> bool {
-        if self.names >= MAX_NAMES {
-            return false;
+    /// Names that were left out or forgotten since this was asked last.
+    pub fn take_lost(&mut self) -> u64 {
+        std::mem::take(&mut self.lost)
+    }
+
+    /// A node or one of its devices is heard.
+    pub(super) fn hear(&mut self, device: &str) {
+        let Some(node) = self.nodes.get_mut(node_of(device)) else { return };
+        self.heard += 1;
+        let before = std::mem::replace(&mut node.heard, self.heard);
+        if let Some(name) = self.order.remove(&before) {
+            self.order.insert(self.heard, name);
         }
-        if !self.devices.contains_key(device) {
-            self.devices.insert(device.to_owned(), HashMap::new());
+    }
+
+    /// Keeps a name, if there is room for it.
+    pub(super) fn learn(&mut self, device: &str, alias: u64, named: AliasedMetric) {
+        let name = node_of(device);
+        if named.name.len() > MAX_NAME_BYTES || device.len() > MAX_NAME_BYTES {
+            self.lost += 1;
+            return;
         }
-        if self.devices.get_mut(device).is_some_and(|table| table.insert(alias, named).is_none()) {
-            self.names += 1;
+        if !self.nodes.contains_key(name) {
+            self.heard += 1;
+            self.order.insert(self.heard, name.into());
+            let bytes = PER_NODE + 2 * name.len();
+            self.bytes += bytes;
+            self.nodes.insert(name.into(), Node { devices: HashMap::new(), bytes, heard: self.heard });
         }
-        true
+        let Some(node) = self.nodes.get_mut(name) else { return };
+        let table = node.devices.get(device);
+        let fresh = if table.is_none() { PER_DEVICE + device.len() } else { 0 };
+        let more = fresh + PER_METRIC + named.name.len();
+        let less = table.and_then(|table| table.get(&alias)).map_or(0, |known| PER_METRIC + known.name.len());
+        if node.bytes + more - less > NODE_BYTES {
+            self.lost += 1;
+            return;
+        }
+        node.devices.entry(device.into()).or_default().insert(alias, named);
+        node.bytes = node.bytes + more - less;
+        self.bytes = self.bytes + more - less;
+        self.make_room(name);
+    }
+
+    /// Forgets the nodes that were heard longest ago, but for this one, until the names fit.
+    fn make_room(&mut self, but: &str) {
+        while self.bytes > MAX_BYTES {
+            let Some((heard, name)) = self.order.pop_first() else { return };
+            if &*name == but {
+                self.order.insert(heard, name);
+                return;
+            }
+            if let Some(node) = self.nodes.remove(&name) {
+                self.bytes -= node.bytes;
+                self.lost += node.devices.values().map(|table| table.len() as u64).sum::<u64>();
+            }
+        }
     }
 
     /// Meaning of an alias of a device.
     pub(super) fn named(&self, device: &str, alias: u64) -> Option<&AliasedMetric> {
-        self.devices.get(device)?.get(&alias)
+        self.nodes.get(node_of(device))?.devices.get(device)?.get(&alias)
     }
 
     /// Forgets a device; for a node also its devices.
     pub(super) fn forget(&mut self, device: &str) {
-        let below = |name: &str| name.strip_prefix(device).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'));
-        self.devices.retain(|name, _| !below(name));
-        self.names = self.devices.values().map(HashMap::len).sum();
+        let name = node_of(device);
+        let Some(node) = self.nodes.get_mut(name) else { return };
+        if name != device {
+            let Some(table) = node.devices.remove(device) else { return };
+            let names: usize = table.values().map(|known| PER_METRIC + known.name.len()).sum();
+            let bytes = PER_DEVICE + device.len() + names;
+            node.bytes -= bytes;
+            self.bytes -= bytes;
+        } else if let Some(node) = self.nodes.remove(name) {
+            self.order.remove(&node.heard);
+            self.bytes -= node.bytes;
+        }
     }
 }
 
@@ -197,17 +276,47 @@ mod tests {
         assert!([0, 24, 500].into_iter().all(|code| sparkplug_quality(code) == Some(0x8000_0000)));
     }
 
+    fn named(name: &str) -> AliasedMetric {
+        AliasedMetric { name: name.to_owned(), kind: 10 }
+    }
+
     #[test]
-    fn names_are_kept_by_device_and_within_bounds() {
-        let (mut memory, named) = (Memory::default(), |name: &str| AliasedMetric { name: name.to_owned(), kind: 10 });
-        for device in ["g/n", "g/n/d", "g/n2"] {
-            assert!(memory.learn(device, 1, named(device)));
+    fn names_are_kept_by_device_and_forgotten_with_their_node() {
+        let mut memory = Memory::default();
+        for device in ["g/n", "g/n/d", "g/n/e", "g/n2"] {
+            memory.learn(device, 1, named(device));
+            memory.learn(device, 1, named(device));
         }
+        memory.forget("g/n/e");
+        assert_eq!((memory.named("g/n/d", 1), memory.named("g/n/e", 1)), (Some(&named("g/n/d")), None));
         memory.forget("g/n");
-        assert_eq!((memory.named("g/n/d", 1), memory.names), (None, 1));
-        assert_eq!(memory.named("g/n2", 1), Some(&named("g/n2")));
-        memory.names = MAX_NAMES;
-        assert!(!memory.learn("g/n3", 1, named("x")));
+        assert_eq!((memory.named("g/n/d", 1), memory.named("g/n2", 1)), (None, Some(&named("g/n2"))));
+        memory.forget("g/n2");
+        assert_eq!((memory.bytes, memory.nodes.len(), memory.order.len(), memory.lost), (0, 0, 0, 0));
+    }
+
+    #[test]
+    fn strangers_take_their_share_and_the_node_heard_longest_ago_goes_first() {
+        let mut memory = Memory::default();
+        memory.learn("g/plant", 1, named("FIC101/OP"));
+        memory.learn("g/silent", 1, named("FIC102/OP"));
+        memory.learn("g/long", 1, named(&"n".repeat(MAX_NAME_BYTES + 1)));
+        assert!(memory.named("g/long", 1).is_none() && memory.take_lost() == 1);
+        // One node alone cannot push others out.
+        let long = "n".repeat(MAX_NAME_BYTES);
+        (0..100_000).for_each(|alias| memory.learn("g/greedy", alias, named(&long)));
+        assert!(memory.take_lost() > 0 && memory.nodes["g/greedy"].bytes <= NODE_BYTES);
+        assert!(memory.named("g/silent", 1).is_some());
+        // Many can, but not one that is heard.
+        for k in 0..400 {
+            (0..1000).for_each(|alias| memory.learn(&format!("g/stranger{k}"), alias, named(&long)));
+            memory.hear("g/plant");
+            assert!(memory.bytes <= MAX_BYTES);
+        }
+        assert_eq!((memory.named("g/plant", 1), memory.named("g/silent", 1)), (Some(&named("FIC101/OP")), None));
+        memory.learn("g/new", 1, named("LIC7/PV"));
+        assert!(memory.named("g/new", 1).is_some() && memory.take_lost() > 0);
+        assert_eq!(memory.order.len(), memory.nodes.len());
     }
 
     #[test]

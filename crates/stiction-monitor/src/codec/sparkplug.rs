@@ -1,8 +1,8 @@
 //! Sparkplug B: metrics in protobuf, on topics that name the sender.
 //!
 //! Only birth messages always name their metrics; data messages may use an alias in place of name and type. The names of
-//! births are therefore kept ([`Memory`]) until the next birth or death of the same node or device. Timestamps are in
-//! milliseconds. Commands are not measurements and deaths have no values; both are ignored.
+//! births are therefore kept ([`Memory`]), as far as there is room, until the next birth or death of the same node or
+//! device. Timestamps are in milliseconds. Commands are not measurements and deaths have no values; both are ignored.
 
 use prost::Message;
 
@@ -132,10 +132,11 @@ impl Codec for Sparkplug {
         if births {
             memory.forget(&sender.whole);
         }
+        memory.hear(&sender.whole);
         let t_ns = payload.timestamp.and_then(ns_from_ms).unwrap_or(bundle.fallback_t_ns);
         let mut nameless = None;
         for metric in payload.metrics {
-            match named(&metric, &sender.whole, births, memory)? {
+            match named(&metric, &sender.whole, births, memory) {
                 Some((name, kind)) => out.push(field(metric, &sender, name, kind, t_ns)),
                 None => nameless = nameless.or(Some(metric.alias.unwrap_or_default())),
             }
@@ -156,23 +157,16 @@ fn wrong(why: String) -> CodecError {
 }
 
 /// Name and type of a metric: its own, else those of its birth message.
-fn named(
-    metric: &Metric,
-    device: &str,
-    births: bool,
-    memory: &mut Memory,
-) -> Result<Option<(String, u32)>, CodecError> {
+fn named(metric: &Metric, device: &str, births: bool, memory: &mut Memory) -> Option<(String, u32)> {
     let known = metric.alias.and_then(|alias| memory.named(device, alias));
     let kind = metric.datatype.or(known.map(|k| k.kind)).unwrap_or_default();
     let Some(name) = metric.name.clone().filter(|name| !name.is_empty()) else {
-        return Ok(known.map(|known| (known.name.clone(), kind)));
+        return known.map(|known| (known.name.clone(), kind));
     };
-    if let (true, Some(alias)) = (births, metric.alias)
-        && !memory.learn(device, alias, AliasedMetric { name: name.clone(), kind })
-    {
-        return Err(wrong("too many metrics in birth messages".to_owned()));
+    if let (true, Some(alias)) = (births, metric.alias) {
+        memory.learn(device, alias, AliasedMetric { name: name.clone(), kind });
     }
-    Ok(Some((name, kind)))
+    Some((name, kind))
 }
 
 fn field(metric: Metric, sender: &Sender<'_>, name: String, kind: u32, t_ns: i64) -> Field {
@@ -286,5 +280,17 @@ mod tests {
                 []
             );
         }
+    }
+
+    #[test]
+    fn values_with_names_are_taken_where_their_names_cannot_be_kept() {
+        let mut memory = Memory::default();
+        let long = "n".repeat(1000);
+        let born =
+            vec![metric(Some(&long), Some(1), MetricValue::Int(1)), metric(Some("OP"), Some(2), MetricValue::Int(2))];
+        assert_eq!(read(&mut memory, "b/spBv1.0/g/NBIRTH/n", born).unwrap().len(), 2);
+        assert_eq!(memory.take_lost(), 1);
+        let data = vec![metric(None, Some(1), MetricValue::Int(1)), metric(None, Some(2), MetricValue::Int(2))];
+        assert_eq!(read(&mut memory, "b/spBv1.0/g/NDATA/n", data).unwrap().len(), 1);
     }
 }

@@ -1,55 +1,47 @@
-//! Keeps what waits for receivers in a store, and gives it to their queues once it is on the disk.
+//! Keeps what waits for receivers in a store, so that a restart loses nothing.
 //!
-//! While the disk refuses, documents are sent all the same and put into the store as soon as it takes them.
+//! A document goes to its receivers once it is on the disk. Where the disk hangs it goes a second later, and where the disk
+//! refuses at once; it is put into the store as soon as that takes it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use crossbeam_channel::{never, select};
-
-use super::queue::Queue;
-use super::{Inputs, Item, LOSS_SHOWN};
+use super::dead::{DEAD_LETTERS, DeadLetters};
+use super::ledger::{Batch, Ledger, Letter, key_of};
+use super::{Item, LOSS_SHOWN};
 use crate::restore::ASIDE;
+use crate::sink::mark::Mark;
 use stiction_files::disk::Disk;
 use stiction_files::store::{OUTBOX_NAME, StateStore, StoreError, Stored};
 use stiction_runtime::faults::Faults;
 use stiction_runtime::metrics::Metrics;
 
-/// Documents of one transaction.
-const BATCH: usize = 256;
 /// Pause after an error of the disk.
 const RETRY: Duration = Duration::from_secs(2);
 /// Name of its fault.
 const FAULT: &str = "outbox";
-
-/// A document that waits no longer.
-pub(super) struct Change {
-    pub queue: String,
-    pub seq: u64,
-}
 
 /// The thread that keeps the store.
 pub(super) struct Keep {
     path: PathBuf,
     disk: Arc<dyn Disk>,
     store: Option<StateStore>,
-    queues: Vec<Arc<Queue>>,
-    /// What the store lacks, and what it holds too much.
-    puts: BTreeMap<String, Vec<u8>>,
-    gone: BTreeSet<String>,
-    /// Number of the next document: above those of every run before.
-    next: u64,
+    ledger: Arc<Ledger>,
+    mark: Mark,
+    dead: DeadLetters,
     /// Whether the queues have what an earlier run left.
     taken_over: bool,
     faults: Arc<Faults>,
     metrics: Arc<Metrics>,
 }
 
-fn key_of(queue: &str, seq: u64) -> String {
-    // Twenty digits hold every number, so keys sort as numbers do.
-    format!("{queue}\n{seq:020}")
+impl Drop for Keep {
+    fn drop(&mut self) {
+        // Nobody waits for a thread that is no more.
+        self.mark.close();
+    }
 }
 
 impl Keep {
@@ -57,29 +49,103 @@ impl Keep {
     pub fn open(
         dir: &Path,
         disk: Arc<dyn Disk>,
-        first: u64,
-        queues: Vec<Arc<Queue>>,
+        ledger: Arc<Ledger>,
+        mark: Mark,
         faults: Arc<Faults>,
         metrics: Arc<Metrics>,
     ) -> Self {
-        let path = dir.join(OUTBOX_NAME);
-        let (puts, gone) = (BTreeMap::new(), BTreeSet::new());
-        let mut keep =
-            Self { path, disk, store: None, queues, puts, gone, next: first, taken_over: false, faults, metrics };
-        if let Err(why) = keep.reopen() {
-            keep.faults.raise(FAULT, why);
-        }
+        let (path, dead) = (dir.join(OUTBOX_NAME), DeadLetters::new(dir));
+        let mut keep = Self { path, disk, store: None, ledger, mark, dead, taken_over: false, faults, metrics };
+        keep.turn();
         keep
     }
 
-    fn reopen(&mut self) -> Result<(), String> {
+    /// Works until no more can be handed over.
+    pub fn run(&mut self) {
+        loop {
+            // A store that is not open may hold what waits.
+            let pause = self.store.is_none().then_some(RETRY);
+            let batch = self.ledger.take_within(pause);
+            let is_last = batch.is_last;
+            if is_last {
+                self.close_queues();
+            }
+            self.write(batch);
+            if is_last {
+                return;
+            }
+        }
+    }
+
+    /// The receivers' threads end.
+    pub fn close_queues(&self) {
+        self.ledger.queues.iter().for_each(|queue| queue.close());
+    }
+
+    /// Writes what waits now, without waiting for more.
+    pub fn turn(&mut self) {
+        let batch = self.ledger.take();
+        self.write(batch);
+    }
+
+    /// As after an error of the disk.
+    #[cfg(test)]
+    pub fn forget_store(&mut self) {
+        self.store = None;
+    }
+
+    /// Whether the store holds what waits, and nothing else.
+    pub fn is_stored(&self) -> bool {
+        self.ledger.is_stored()
+    }
+
+    fn write(&mut self, mut batch: Batch) {
+        // A folder that was taken away takes the store along.
+        if self.store.is_some() && !self.path.exists() {
+            self.store = None;
+        }
+        for letter in std::mem::take(&mut batch.letters) {
+            batch.gone.insert(key_of(&letter.queue, letter.seq));
+            self.append(&letter);
+        }
+        match self.save(&mut batch) {
+            Ok(()) => {
+                self.faults.clear(FAULT);
+                self.ledger.stored(&batch);
+            }
+            Err(why) => {
+                self.store = None;
+                self.faults.raise(FAULT, why.as_str());
+                self.ledger.refused(batch, &why);
+            }
+        }
+    }
+
+    fn save(&mut self, batch: &mut Batch) -> Result<(), String> {
+        let store = match self.store.take() {
+            Some(store) => store,
+            None => self.reopen(batch)?,
+        };
+        if !batch.puts.is_empty() || !batch.gone.is_empty() {
+            let json = |item: &Arc<Item>| serde_json::to_vec(item.as_ref()).unwrap_or_default();
+            let puts: Vec<(&str, Vec<u8>)> = batch.puts.iter().map(|(key, item)| (key.as_str(), json(item))).collect();
+            let puts = puts.iter().map(|(key, json)| (*key, json.as_slice()));
+            store.change(puts, batch.gone.iter().map(String::as_str)).map_err(|e| e.to_string())?;
+        }
+        self.store = Some(store);
+        Ok(())
+    }
+
+    /// Opens the store. Whatever has become of it meanwhile, it holds what waits after this batch, and nothing else.
+    fn reopen(&mut self, batch: &mut Batch) -> Result<StateStore, String> {
         let opened = match StateStore::open_on(self.disk.as_ref(), &self.path) {
             Err(StoreError::Broken { why, .. }) => {
                 let mut aside = self.path.clone().into_os_string();
                 aside.push(ASIDE);
                 self.disk.rename(&self.path, Path::new(&aside)).map_err(|e| format!("{}: {e}", self.path.display()))?;
                 self.metrics.quarantined.inc();
-                let text = format!("{}: {why}; put aside, documents that waited there are lost", self.path.display());
+                let lost = if self.taken_over { "" } else { ", documents that waited there are lost" };
+                let text = format!("{}: {why}; put aside{lost}", self.path.display());
                 self.faults.raise_for("outbox broken", text, LOSS_SHOWN);
                 StateStore::open_on(self.disk.as_ref(), &self.path)
             }
@@ -87,27 +153,28 @@ impl Keep {
         };
         let cannot = |e: StoreError| format!("documents that wait for receivers cannot be kept: {e}");
         let store = opened.map_err(cannot)?;
-        if !self.taken_over {
-            self.take_over(store.load().map_err(cannot)?);
+        let stored = store.load().map_err(cannot)?;
+        if self.taken_over {
+            self.compare(&stored, batch);
+        } else {
+            self.take_over(stored, batch);
         }
-        self.store = Some(store);
-        Ok(())
+        Ok(store)
     }
 
     /// What an earlier run left. Documents of receivers that are no longer named are dropped: nobody would ever take them.
-    fn take_over(&mut self, stored: Stored) {
+    fn take_over(&mut self, stored: Stored, batch: &mut Batch) {
         self.taken_over = true;
         let mut dropped = stored.damaged as u64;
         for (key, json) in stored.values {
             let place = key.split_once('\n').and_then(|(name, seq)| Some((name, seq.parse::<u64>().ok()?)));
             let item = serde_json::from_slice::<Item>(&json).ok();
-            let queue = place.and_then(|(name, _)| self.queues.iter().find(|q| q.name == name));
+            let queue = place.and_then(|(name, _)| self.ledger.queues.iter().find(|q| q.name == name));
             if let (Some((_, seq)), Some(item), Some(queue)) = (place, item, queue) {
-                self.next = self.next.max(seq + 1);
-                queue.push(seq, Arc::new(item));
+                self.ledger.take_over(queue, seq, Arc::new(item));
             } else {
                 dropped += 1;
-                self.gone.insert(key);
+                batch.gone.insert(key);
             }
         }
         if dropped > 0 {
@@ -116,104 +183,31 @@ impl Keep {
         }
     }
 
-    /// Works until no more can be handed over.
-    pub fn run(&mut self, (handed, done): Inputs<'_>) {
-        loop {
-            // With everything stored there is nothing to try again; a store that is not open may hold what waits.
-            let again =
-                if self.is_stored() && self.store.is_some() { never() } else { crossbeam_channel::after(RETRY) };
-            let mut fresh = Vec::new();
-            let mut closed = false;
-            select! {
-                recv(handed) -> item => match item {
-                    Ok(item) => fresh.push(item),
-                    Err(_) => closed = true,
-                },
-                recv(done) -> change => if let Ok(change) = change { self.settled(&change) },
-                recv(again) -> _ => {}
-            }
-            fresh.extend(handed.try_iter().take(BATCH));
-            done.try_iter().for_each(|change| self.settled(&change));
-            self.take(fresh);
-            if closed {
-                self.queues.iter().for_each(|queue| queue.close());
-                done.try_iter().for_each(|change| self.settled(&change));
-                self.save();
-                return;
-            }
-        }
-    }
-
-    /// Takes all that waits now, without waiting for more.
-    pub fn turn(&mut self, (handed, done): Inputs<'_>) {
-        done.try_iter().for_each(|change| self.settled(&change));
-        self.take(handed.try_iter().collect());
-    }
-
-    /// Whether the store holds what waits, and nothing else.
-    pub fn is_stored(&self) -> bool {
-        self.puts.is_empty() && self.gone.is_empty()
-    }
-
-    fn settled(&mut self, change: &Change) {
-        let key = key_of(&change.queue, change.seq);
-        if self.puts.remove(&key).is_none() {
-            self.gone.insert(key);
-        }
-    }
-
-    /// Stores documents, then gives them to the queues that want them.
-    fn take(&mut self, fresh: Vec<Arc<Item>>) {
-        let mut placed = Vec::new();
-        for item in fresh {
-            let json = serde_json::to_vec(item.as_ref()).unwrap_or_default();
-            for queue in self.queues.iter().filter(|q| q.wants(&item.kind)) {
-                self.puts.insert(key_of(&queue.name, self.next), json.clone());
-                placed.push((queue.clone(), self.next, item.clone()));
-                self.next += 1;
-            }
-        }
-        self.save();
-        for (queue, seq, item) in placed {
-            if let Some(given_up) = queue.push(seq, item) {
-                self.metrics.delivery_dropped.inc();
-                let text = format!("more documents wait for {} than its queue holds: the oldest are lost", queue.name);
-                self.faults.raise_for(&format!("overflow {}", queue.name), text, LOSS_SHOWN);
-                self.settled(&Change { queue: queue.name.clone(), seq: given_up });
-            }
-        }
-    }
-
-    fn save(&mut self) {
-        // A folder that was taken away takes the store along.
-        if self.store.is_some() && !self.path.exists() {
-            self.store = None;
-            self.gone.clear();
-            for queue in &self.queues {
-                let waiting = queue.all();
-                let rows = waiting.iter().map(|(seq, item)| (key_of(&queue.name, *seq), item));
-                self.puts.extend(rows.map(|(key, item)| (key, serde_json::to_vec(item.as_ref()).unwrap_or_default())));
-            }
-        }
-        if self.is_stored() && self.store.is_some() {
-            return;
-        }
-        let opened = if self.store.is_none() { self.reopen() } else { Ok(()) };
-        let saved = opened.and_then(|()| {
-            let Some(store) = &self.store else { return Ok(()) };
-            let puts = self.puts.iter().map(|(key, json)| (key.as_str(), json.as_slice()));
-            store.change(puts, self.gone.iter().map(String::as_str)).map_err(|e| e.to_string())
+    /// What the store lacks of the queues, and what it holds too much: it may be a new one, or an error hid whether the last
+    /// change is in it.
+    fn compare(&self, stored: &Stored, batch: &mut Batch) {
+        let waiting = self.ledger.queues.iter().flat_map(|queue| {
+            queue.all().into_iter().map(|(seq, item)| (key_of(&queue.name, seq), item)).collect::<Vec<_>>()
         });
-        match saved {
-            Ok(()) => {
-                self.puts.clear();
-                self.gone.clear();
-                self.faults.clear(FAULT);
-            }
-            Err(why) => {
-                self.store = None;
-                self.faults.raise(FAULT, why);
+        let mut too_much: BTreeSet<&String> = stored.values.keys().collect();
+        for (key, item) in waiting {
+            if !too_much.remove(&key) {
+                batch.puts.entry(key).or_insert(item);
             }
         }
+        let unburied = self.ledger.unburied();
+        batch.gone.extend(too_much.into_iter().filter(|key| !unburied.contains(key)).cloned());
+        batch.gone.retain(|key| stored.values.contains_key(key));
+    }
+
+    /// Puts a document into the dead-letter file.
+    fn append(&self, Letter { queue, item, attempts, why, .. }: &Letter) {
+        let kept = match self.dead.append(queue, item, *attempts, why) {
+            Ok(()) => format!("it is in {DEAD_LETTERS}"),
+            Err(error) => format!("{DEAD_LETTERS} could not be written: {error}"),
+        };
+        self.metrics.delivery_refused.inc();
+        let text = format!("{queue} refused {} {} of {} for good; {kept}: {why}", item.kind, item.id, item.loop_name);
+        self.faults.raise_for(&format!("refused by {queue}"), text, LOSS_SHOWN);
     }
 }

@@ -3,11 +3,12 @@
 //! blocks nothing. What waits is in a store beside the recordings, so a restart loses nothing and may send a document
 //! twice, under the same identity.
 //!
-//! The engine's thread only hands documents over. One thread writes them to the store, before any receiver sees them; each
-//! receiver has a thread that may wait for it as long as it takes.
+//! The engine's thread only hands documents over. One thread writes them to the store, before any receiver sees them unless
+//! the disk takes longer than a second; each receiver has a thread that may wait for it as long as it takes.
 
 mod dead;
 mod keep;
+mod ledger;
 mod queue;
 mod webhook;
 mod worker;
@@ -18,11 +19,11 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
-use crossbeam_channel::{Receiver, Sender};
 use serde::{Deserialize, Serialize};
 
-use dead::DeadLetters;
-use keep::{Change, Keep};
+use crate::sink::mark::Mark;
+use keep::Keep;
+use ledger::Ledger;
 use queue::Queue;
 use stiction_core::units::format_rfc3339;
 use stiction_files::disk::{Disk, SystemDisk};
@@ -37,8 +38,6 @@ use stiction_runtime::metrics::Metrics;
 pub use worker::MakeTarget;
 use worker::{Step, Worker};
 
-/// Documents that the engine may hand over before the store has taken the first of them.
-const HANDED: usize = 4096;
 /// How long a receiver may take for one document.
 const SEND_WITHIN: Duration = Duration::from_secs(10);
 /// How long a thread sleeps where nobody wakes it.
@@ -146,10 +145,18 @@ pub fn check(d: &Deliver) -> anyhow::Result<()> {
 
 /// The engine's end; copies hand over to the same receivers.
 #[derive(Clone)]
-pub struct Outbox {
-    handed: Sender<Arc<Item>>,
+pub struct Outbox(Arc<Handed>);
+
+/// What the copies share; without it nothing more can come.
+struct Handed {
+    ledger: Arc<Ledger>,
     wanted: Vec<String>,
-    metrics: Arc<Metrics>,
+}
+
+impl Drop for Handed {
+    fn drop(&mut self) {
+        self.ledger.close();
+    }
 }
 
 impl Outbox {
@@ -161,25 +168,26 @@ impl Outbox {
     pub fn start(
         config: &Config,
         dir: &Path,
+        mark: &Mark,
         faults: &Arc<Faults>,
         metrics: &Arc<Metrics>,
     ) -> anyhow::Result<Option<(Self, JoinHandle<()>)>> {
         if config.deliver.is_empty() {
             return Ok(None);
         }
-        let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::system());
+        let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::system(), mark.clone());
         let make = |d: &Deliver| {
             let entry = d.clone();
             Box::new(move || target(&entry)) as MakeTarget
         };
         let (outbox, delivery) = Self::pair(config, dir, place, make, faults, metrics)?;
-        let Delivery { mut keep, incoming, done, workers, .. } = delivery;
+        let Delivery { mut keep, workers, .. } = delivery;
         for (mut worker, _) in workers {
             let thread = std::thread::Builder::new().name(format!("to-{}", worker.queue.name));
             thread.spawn(move || worker.supervise())?;
         }
         let thread = std::thread::Builder::new().name("outbox".into());
-        let handle = thread.spawn(move || keep.run((&incoming, &done))).map_err(|e| anyhow!(e))?;
+        let handle = thread.spawn(move || keep.run()).map_err(|e| anyhow!(e))?;
         Ok(Some((outbox, handle)))
     }
 
@@ -190,25 +198,26 @@ impl Outbox {
     pub fn pair(
         config: &Config,
         dir: &Path,
-        (disk, clock): (Arc<dyn Disk>, Clock),
+        (disk, clock, mark): (Arc<dyn Disk>, Clock, Mark),
         make: impl Fn(&Deliver) -> MakeTarget,
         faults: &Arc<Faults>,
         metrics: &Arc<Metrics>,
     ) -> anyhow::Result<(Self, Delivery)> {
-        let (handed, incoming) = crossbeam_channel::bounded(HANDED);
-        // Holds at most one entry for each document that waits for a receiver.
-        let (changes, done) = crossbeam_channel::unbounded();
-        let dead = Arc::new(DeadLetters::new(dir));
+        let queues = config.deliver.iter().map(|d| Arc::new(Queue::new(d, &clock, metrics))).collect::<Vec<_>>();
+        // Also where the store cannot be read yet, numbers of this run lie above those in it.
+        let first = u64::try_from(clock.now_ns()).unwrap_or_default();
+        let place = (mark.clone(), clock.clone());
+        let ledger = Arc::new(Ledger::new(first, queues.clone(), place, faults.clone(), metrics.clone()));
         let mut workers = Vec::new();
-        for d in &config.deliver {
+        for (d, queue) in config.deliver.iter().zip(queues) {
             let make = make(d);
             let target = Some(make().with_context(|| format!("[[deliver]] {}", d.name))?);
             let worker = Worker {
-                queue: Arc::new(Queue::new(d, metrics)),
-                changes: changes.clone(),
-                dead: dead.clone(),
+                queue,
+                ledger: ledger.clone(),
                 faults: faults.clone(),
                 metrics: metrics.clone(),
+                clock: clock.clone(),
                 make,
                 target,
                 pause: worker::FIRST_PAUSE,
@@ -219,42 +228,48 @@ impl Outbox {
         let mut wanted: Vec<String> = config.deliver.iter().flat_map(|d| d.documents.clone()).collect();
         wanted.sort();
         wanted.dedup();
-        let queues = workers.iter().map(|(worker, _)| worker.queue.clone()).collect();
-        // Also where the store cannot be read yet, numbers of this run lie above those in it.
-        let first = u64::try_from(clock.now_ns()).unwrap_or_default();
-        let keep = Keep::open(dir, disk, first, queues, faults.clone(), metrics.clone());
-        let outbox = Self { handed, wanted, metrics: metrics.clone() };
-        Ok((outbox, Delivery { keep, incoming, done, workers, clock }))
+        let keep = Keep::open(dir, disk, ledger.clone(), mark, faults.clone(), metrics.clone());
+        Ok((Self(Arc::new(Handed { ledger, wanted })), Delivery { keep, workers, clock }))
     }
 
     /// Whether any receiver wants documents of this kind.
     #[must_use]
     pub fn wants(&self, kind: Kind) -> bool {
-        self.wanted.iter().any(|wanted| wanted == kind.name())
+        self.0.wanted.iter().any(|wanted| wanted == kind.name())
     }
 
-    /// Hands a document over.
+    /// Hands a document over; never waits.
     pub fn offer(&self, item: Item) {
-        if self.handed.try_send(Arc::new(item)).is_err() {
-            self.metrics.delivery_dropped.inc();
-        }
+        self.0.ledger.offer(&Arc::new(item));
+    }
+
+    /// Why documents are not stored at present, and sent all the same; none while the disk answers.
+    #[must_use]
+    pub fn stall(&self) -> Option<String> {
+        let (taken, lacking) = self.0.ledger.stall()?;
+        let s = taken.as_secs();
+        let what = "they are sent all the same, and those that wait are lost if the daemon ends before it answers";
+        Some(format!("the disk has not answered for {s} s: {lacking} documents for receivers are not stored; {what}"))
     }
 }
 
 /// The far end of an [`Outbox`], without threads.
 pub struct Delivery {
     keep: Keep,
-    incoming: Receiver<Arc<Item>>,
-    done: Receiver<Change>,
     /// Receivers, each with the time before which it is not tried again.
     workers: Vec<(Worker, Instant)>,
     clock: Clock,
 }
 
 impl Delivery {
+    /// Stores what was handed over, and sends nothing.
+    pub fn store(&mut self) {
+        self.keep.turn();
+    }
+
     /// Stores what was handed over and sends what waits. Says whether all of it is in the store.
     pub fn turn(&mut self) -> bool {
-        self.keep.turn((&self.incoming, &self.done));
+        self.keep.turn();
         for (worker, not_before) in &mut self.workers {
             while self.clock.now() >= *not_before {
                 match worker.step(Duration::ZERO) {
@@ -264,7 +279,7 @@ impl Delivery {
                 }
             }
         }
-        self.keep.turn((&self.incoming, &self.done));
+        self.keep.turn();
         self.keep.is_stored()
     }
 
@@ -274,9 +289,6 @@ impl Delivery {
         self.workers.iter().map(|(worker, _)| worker.queue.len()).sum()
     }
 }
-
-/// What is handed over and what is done, for whoever keeps the store.
-type Inputs<'r> = (&'r Receiver<Arc<Item>>, &'r Receiver<Change>);
 
 #[cfg(test)]
 mod tests;

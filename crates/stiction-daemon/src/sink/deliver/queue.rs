@@ -1,11 +1,12 @@
 //! What waits for one receiver, oldest first.
 
-use std::collections::{BTreeMap, HashSet, VecDeque};
+use std::collections::{HashSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::Item;
 use stiction_monitor::config::Deliver;
+use stiction_runtime::clock::Clock;
 use stiction_runtime::metrics::{Label, Metrics};
 
 /// What a receiver's thread does next.
@@ -18,12 +19,37 @@ pub(super) enum Next {
     Closed,
 }
 
+/// How a document fared so far.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Tried {
+    /// How often it was sent in vain.
+    pub sent: u32,
+    /// How often the receiver answered that it does not take it, and when it did so first.
+    pub refused: u32,
+    pub refused_at: Option<Instant>,
+    /// How often the receiver took another document just before it failed on this one, and when it did so first.
+    pub passed: u32,
+    pub passed_at: Option<Instant>,
+}
+
+struct Entry {
+    seq: u64,
+    item: Arc<Item>,
+    /// Until when the disk may take its time to store it; none once it has it, or has refused it.
+    held_until: Option<Instant>,
+    tried: Tried,
+}
+
 #[derive(Default)]
 struct Waiting {
-    items: VecDeque<(u64, Arc<Item>)>,
-    /// How often each was sent in vain.
-    attempts: BTreeMap<u64, u32>,
+    entries: VecDeque<Entry>,
     closed: bool,
+}
+
+impl Waiting {
+    fn place(&self, seq: u64) -> Option<usize> {
+        self.entries.binary_search_by_key(&seq, |entry| entry.seq).ok()
+    }
 }
 
 /// The queue of one receiver.
@@ -34,13 +60,15 @@ pub(super) struct Queue {
     limit: usize,
     waiting: Mutex<Waiting>,
     wake: Condvar,
+    clock: Clock,
     metrics: Arc<Metrics>,
 }
 
 impl Queue {
-    pub fn new(d: &Deliver, metrics: &Arc<Metrics>) -> Self {
+    pub fn new(d: &Deliver, clock: &Clock, metrics: &Arc<Metrics>) -> Self {
         let (name, documents, limit) = (d.name.clone(), d.documents.clone(), d.queue);
-        Self { name, documents, limit, waiting: Mutex::default(), wake: Condvar::new(), metrics: metrics.clone() }
+        let (waiting, wake) = (Mutex::default(), Condvar::new());
+        Self { name, documents, limit, waiting, wake, clock: clock.clone(), metrics: metrics.clone() }
     }
 
     fn lock(&self) -> MutexGuard<'_, Waiting> {
@@ -51,62 +79,80 @@ impl Queue {
         self.documents.iter().any(|wanted| wanted == kind)
     }
 
-    /// Puts one behind those with lower numbers. Gives the oldest up where there are too many: the newest says how things stand.
-    pub fn push(&self, seq: u64, item: Arc<Item>) -> Option<u64> {
+    /// Puts one behind those with lower numbers; it is not sent before it is released, or before this time. Gives the
+    /// oldest up where there are too many: the newest says how things stand.
+    pub fn push(&self, seq: u64, item: Arc<Item>, held_until: Option<Instant>) -> Option<u64> {
         let mut waiting = self.lock();
-        let place = waiting.items.partition_point(|(s, _)| *s < seq);
-        waiting.items.insert(place, (seq, item));
-        let over = waiting.items.len() > self.limit;
-        let given_up = if over { waiting.items.pop_front().map(|(seq, _)| seq) } else { None };
-        if let Some(seq) = given_up {
-            waiting.attempts.remove(&seq);
-        }
-        self.show(waiting.items.len());
+        let place = waiting.entries.partition_point(|entry| entry.seq < seq);
+        waiting.entries.insert(place, Entry { seq, item, held_until, tried: Tried::default() });
+        let over = waiting.entries.len() > self.limit;
+        let given_up = if over { waiting.entries.pop_front().map(|entry| entry.seq) } else { None };
+        self.show(waiting.entries.len());
         drop(waiting);
         self.wake.notify_one();
         given_up
     }
 
+    /// Documents up to this number need not wait for the disk any more.
+    pub fn release(&self, seq: u64) {
+        let mut waiting = self.lock();
+        waiting.entries.iter_mut().take_while(|entry| entry.seq <= seq).for_each(|entry| entry.held_until = None);
+        drop(waiting);
+        self.wake.notify_one();
+    }
+
     /// The oldest, which stays where it is until it is settled; waits for one.
     pub fn next(&self, patience: Duration) -> Next {
-        let waiting = self.lock();
-        let empty = |w: &mut Waiting| w.items.is_empty() && !w.closed;
-        let (waiting, _) =
-            self.wake.wait_timeout_while(waiting, patience, empty).unwrap_or_else(PoisonError::into_inner);
-        match waiting.items.front() {
-            _ if waiting.closed => Next::Closed,
-            Some((seq, item)) => Next::Send(*seq, item.clone()),
-            None => Next::Nothing,
+        let until = self.clock.now() + patience;
+        let mut waiting = self.lock();
+        loop {
+            let now = self.clock.now();
+            let wait = match waiting.entries.front() {
+                _ if waiting.closed => return Next::Closed,
+                Some(Entry { seq, item, held_until, .. }) => match held_until.filter(|until| now < *until) {
+                    None => return Next::Send(*seq, item.clone()),
+                    Some(held_until) => held_until.min(until).saturating_duration_since(now),
+                },
+                None => until.saturating_duration_since(now),
+            };
+            if now >= until {
+                return Next::Nothing;
+            }
+            waiting = self.wake.wait_timeout(waiting, wait).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
-    /// Counts an attempt to send a document.
-    pub fn count_attempt(&self, seq: u64) {
-        *self.lock().attempts.entry(seq).or_default() += 1;
+    /// Notes how an attempt went. A document that waits no longer has none.
+    pub fn note(&self, seq: u64, note: impl FnOnce(&mut Tried)) {
+        let mut waiting = self.lock();
+        if let Some(place) = waiting.place(seq) {
+            note(&mut waiting.entries[place].tried);
+        }
     }
 
-    /// How often a document was sent.
-    pub fn attempts(&self, seq: u64) -> u32 {
-        self.lock().attempts.get(&seq).copied().unwrap_or_default()
+    /// How a document fared so far.
+    pub fn tried(&self, seq: u64) -> Tried {
+        let waiting = self.lock();
+        waiting.place(seq).map(|place| waiting.entries[place].tried).unwrap_or_default()
     }
 
     /// The first document of another loop, each loop in turn by `round`: to send it before this one keeps the order within
     /// every loop.
     pub fn of_other_loop(&self, seq: u64, round: usize) -> Option<(u64, Arc<Item>)> {
-        let waiting = self.lock();
-        let (_, this) = waiting.items.iter().find(|(s, _)| *s == seq)?;
-        let mut seen = HashSet::from([this.loop_name.as_str()]);
-        let firsts: Vec<_> = waiting.items.iter().filter(|(_, item)| seen.insert(&item.loop_name)).collect();
-        Some((*firsts.get(round % firsts.len().max(1))?).clone())
+        let (waiting, now) = (self.lock(), self.clock.now());
+        let this = &waiting.entries[waiting.place(seq)?];
+        let mut seen = HashSet::from([this.item.loop_name.as_str()]);
+        let firsts = waiting.entries.iter().filter(|entry| seen.insert(entry.item.loop_name.as_str()));
+        let free: Vec<_> = firsts.filter(|entry| entry.held_until.is_none_or(|until| until <= now)).collect();
+        free.get(round % free.len().max(1)).map(|entry| (entry.seq, entry.item.clone()))
     }
 
     /// Takes away a document that waits no longer; false where it had been given up meanwhile.
     pub fn settle(&self, seq: u64) -> bool {
         let mut waiting = self.lock();
-        waiting.attempts.remove(&seq);
-        let Some(place) = waiting.items.iter().position(|(s, _)| *s == seq) else { return false };
-        waiting.items.remove(place);
-        self.show(waiting.items.len());
+        let Some(place) = waiting.place(seq) else { return false };
+        waiting.entries.remove(place);
+        self.show(waiting.entries.len());
         true
     }
 
@@ -124,12 +170,12 @@ impl Queue {
     }
 
     pub fn len(&self) -> usize {
-        self.lock().items.len()
+        self.lock().entries.len()
     }
 
     /// All that waits.
     pub fn all(&self) -> Vec<(u64, Arc<Item>)> {
-        self.lock().items.iter().cloned().collect()
+        self.lock().entries.iter().map(|entry| (entry.seq, entry.item.clone())).collect()
     }
 
     fn show(&self, length: usize) {

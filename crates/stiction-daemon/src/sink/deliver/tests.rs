@@ -5,9 +5,12 @@ use std::net::TcpListener;
 use std::sync::Mutex;
 use std::time::Instant;
 
+use super::dead::DeadLetters;
 use super::*;
 use stiction_files::store::StateStore;
 use stiction_monitor::alarm::{Alarm, LoopContext};
+
+mod store;
 
 /// Waits until something is so.
 fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
@@ -48,7 +51,8 @@ struct Running {
 impl Running {
     fn start(dir: &Path, receivers: &str) -> Self {
         let (faults, metrics) = (Arc::new(Faults::default()), Arc::new(Metrics::default()));
-        let (outbox, keeping) = Outbox::start(&config(receivers), dir, &faults, &metrics).unwrap().unwrap();
+        let (outbox, keeping) =
+            Outbox::start(&config(receivers), dir, &Mark::default(), &faults, &metrics).unwrap().unwrap();
         Self { outbox: Some(outbox), keeping: Some(keeping), faults, metrics }
     }
 
@@ -167,7 +171,7 @@ fn what_is_refused_for_good_holds_up_nobody() {
     let running = Running::start(dir.path(), &receiver);
     running.offer(0..2);
     wait_for("the second", || (taken(&seen) == ["e1"]).then_some(()));
-    assert_eq!(running.metrics.delivery_refused.get(), 1);
+    wait_for("its dead letter", || (running.metrics.delivery_refused.get() == 1).then_some(()));
     assert!(running.faults.list()[0].contains("a refused alarm e0 of FIC101 for good"), "{:?}", running.faults.list());
     let dead = dead_letters(dir.path());
     assert_eq!((dead.len(), &dead[0]["id"], &dead[0]["document"]["loop"]), (1, &"e0".into(), &"FIC101".into()));
@@ -238,50 +242,27 @@ fn a_document_that_is_refused_for_a_day_does_not_block_its_own_loop() {
     running.stop();
 }
 
-/// Panics on some documents, and counts the others.
-struct Panics(Arc<Mutex<Vec<String>>>);
-
-impl Target for Panics {
-    fn send(&mut self, item: &Item) -> Result<(), Failure> {
-        assert!(item.loop_name != "POISON", "on purpose");
-        self.0.lock().unwrap().push(item.id.clone());
-        Ok(())
-    }
-}
-
 #[test]
 fn a_panic_costs_the_document_that_causes_it_and_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
-    let (faults, metrics) = (Arc::new(Faults::default()), Arc::new(Metrics::default()));
-    let entry = config("[[deliver]]\nname = \"a\"\nto = \"http://127.0.0.1:1\"\n").deliver.remove(0);
-    let queue = Arc::new(Queue::new(&entry, &metrics));
-    let (changes, settled) = crossbeam_channel::unbounded();
     let sent = Arc::new(Mutex::new(Vec::new()));
-    let make_sent = sent.clone();
-    let make = move || Ok(Box::new(Panics(make_sent.clone())) as Box<dyn Target>);
-    let (first, dead) = (make().unwrap(), Arc::new(DeadLetters::new(dir.path())));
-    let mut worker = Worker {
-        queue: queue.clone(),
-        changes,
-        dead,
-        faults: faults.clone(),
-        metrics: metrics.clone(),
-        make: Box::new(make),
-        target: Some(first),
-        pause: worker::FIRST_PAUSE,
-        round: 0,
-    };
+    let took = sent.clone();
+    let mut held = store::Held::on(Clock::system(), dir.path(), move |item| {
+        assert!(item.loop_name != "POISON", "on purpose");
+        took.lock().unwrap().push(item.id.clone());
+        Ok(())
+    });
+    held.outbox.offer(item_of("POISON", 0));
+    (1..4).for_each(|k| held.outbox.offer(item_of("GOOD", k)));
+    held.delivery.store();
+    let (mut worker, _) = held.delivery.workers.remove(0);
     let thread = std::thread::spawn(move || worker.supervise());
-    queue.push(0, Arc::new(item_of("POISON", 0)));
-    for k in 1..4 {
-        assert_eq!(queue.push(k, Arc::new(item_of("GOOD", k as usize))), None);
-    }
-    wait_for("all to be settled", || (settled.len() == 4).then_some(()));
+    wait_for("all to be settled", || held.is_settled().then_some(()));
     assert_eq!(*sent.lock().unwrap(), ["e1", "e2", "e3"]);
-    assert_eq!((dead_letters(dir.path()).len(), metrics.delivery_refused.get()), (1, 1));
-    assert!(metrics.delivery_restarts.get() >= 4);
-    assert!(faults.list().iter().any(|f| f.contains("panicked and was restarted")), "{:?}", faults.list());
-    queue.close();
+    assert_eq!((dead_letters(dir.path()).len(), held.metrics.delivery_refused.get()), (1, 1));
+    assert!(held.metrics.delivery_restarts.get() >= 4);
+    assert!(held.faults.list().iter().any(|f| f.contains("panicked and was restarted")), "{:?}", held.faults.list());
+    held.delivery.keep.close_queues();
     thread.join().unwrap();
 }
 

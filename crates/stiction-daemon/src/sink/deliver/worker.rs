@@ -2,14 +2,12 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use crossbeam_channel::Sender;
-
-use super::dead::{DEAD_LETTERS, DeadLetters};
-use super::keep::Change;
-use super::queue::{Next, Queue};
+use super::ledger::{Ledger, Letter};
+use super::queue::{Next, Queue, Tried};
 use super::{Failure, IDLE, Item, LOSS_SHOWN, Target};
+use stiction_runtime::clock::Clock;
 use stiction_runtime::faults::Faults;
 use stiction_runtime::metrics::Metrics;
 
@@ -18,9 +16,13 @@ pub(super) const FIRST_PAUSE: Duration = if cfg!(test) { Duration::from_millis(2
 const LONGEST_PAUSE: Duration = if cfg!(test) { Duration::from_millis(100) } else { Duration::from_secs(60) };
 /// Failed attempts after which other documents show whether the receiver or this document is at fault.
 const ATTEMPTS: u32 = 4;
-/// Attempts after which a document is given up that was answered with a refusal and beside which nothing else could be
-/// tried: those of a day.
-const MOST_ATTEMPTS: u32 = if cfg!(test) { 20 } else { 1440 };
+/// A document is given up that failed so often right after the receiver had taken another one, over so long: of several
+/// machines behind one address some may be down, or come back later than others.
+const PASSED: u32 = 4;
+const PASSED_FOR: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_mins(10) };
+/// One beside which nothing else could be tried is given up after so many answers that refuse it, over a day.
+const REFUSED: u32 = if cfg!(test) { 20 } else { 1440 };
+const REFUSED_FOR: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_hours(24) };
 
 /// Makes what sends to a receiver; nothing is connected yet.
 pub type MakeTarget = Box<dyn Fn() -> anyhow::Result<Box<dyn Target>> + Send>;
@@ -49,10 +51,10 @@ struct NotNow {
 /// What a receiver's thread works with.
 pub(super) struct Worker {
     pub queue: Arc<Queue>,
-    pub changes: Sender<Change>,
-    pub dead: Arc<DeadLetters>,
+    pub ledger: Arc<Ledger>,
     pub faults: Arc<Faults>,
     pub metrics: Arc<Metrics>,
+    pub clock: Clock,
     pub make: MakeTarget,
     /// The connection; none before the first document and after a panic.
     pub target: Option<Box<dyn Target>>,
@@ -104,26 +106,42 @@ impl Worker {
             Next::Send(seq, item) => (seq, item),
         };
         let Err(failed) = self.attempt(seq, &item) else { return self.went_on() };
-        let attempts = self.queue.attempts(seq);
-        if attempts >= MOST_ATTEMPTS && failed.answered {
+        let tried = self.queue.tried(seq);
+        if failed.answered && tried.refused >= REFUSED && self.is_past(tried.refused_at, REFUSED_FOR) {
             self.give_up(seq, &item, &failed.why);
             return self.went_on();
         }
-        if attempts >= ATTEMPTS
+        if tried.sent >= ATTEMPTS
             && let Some((other_seq, other)) = self.queue.of_other_loop(seq, self.round)
         {
             self.round += 1;
             if self.attempt(other_seq, &other).is_ok() {
-                // The receiver takes others. It may have come back just now, so this one gets a last chance.
-                if let Err(NotNow { why, .. }) = self.attempt(seq, &item) {
-                    self.give_up(seq, &item, &format!("{why}; it took other documents meanwhile"));
-                }
+                self.try_beside(seq, &item);
                 return self.went_on();
             }
         }
-        let pause = failed.pause.unwrap_or(self.pause).min(LONGEST_PAUSE);
+        let pause = failed.pause.unwrap_or(self.pause).clamp(FIRST_PAUSE, LONGEST_PAUSE);
         self.pause = (2 * self.pause).min(LONGEST_PAUSE);
         Step::Wait(pause)
+    }
+
+    /// Tries a document again, just after the receiver took another one: it may have come back in this moment. One that
+    /// fails beside others again and again is at fault itself.
+    fn try_beside(&mut self, seq: u64, item: &Arc<Item>) {
+        let Err(NotNow { why, .. }) = self.attempt(seq, item) else { return };
+        let now = self.clock.now();
+        self.queue.note(seq, |tried| {
+            tried.passed += 1;
+            tried.passed_at.get_or_insert(now);
+        });
+        let tried = self.queue.tried(seq);
+        if tried.passed >= PASSED && self.is_past(tried.passed_at, PASSED_FOR) {
+            self.give_up(seq, item, &format!("{why}; it took other documents meanwhile"));
+        }
+    }
+
+    fn is_past(&self, begun: Option<Instant>, lasting: Duration) -> bool {
+        begun.is_some_and(|begun| self.clock.since(begun) >= lasting)
     }
 
     const fn went_on(&mut self) -> Step {
@@ -132,8 +150,8 @@ impl Worker {
     }
 
     /// Sends one document once. `Ok` where it waits no longer: the receiver has it, or refuses it for good.
-    fn attempt(&mut self, seq: u64, item: &Item) -> Result<(), NotNow> {
-        self.queue.count_attempt(seq);
+    fn attempt(&mut self, seq: u64, item: &Arc<Item>) -> Result<(), NotNow> {
+        self.queue.note(seq, |tried| tried.sent += 1);
         let sent = catch_unwind(AssertUnwindSafe(|| self.send(item))).unwrap_or_else(|_| {
             self.restart();
             Err(Failure::Later("sending it panicked; the log shows where".to_owned(), None))
@@ -142,14 +160,23 @@ impl Worker {
             Ok(()) => {
                 self.metrics.delivered.inc();
                 self.faults.clear(&self.fault());
-                self.settled(seq);
+                if self.queue.settle(seq) {
+                    self.ledger.settle(&self.queue.name, seq);
+                }
                 Ok(())
             }
             Err(Failure::Refused(why)) => {
                 self.give_up(seq, item, &why);
                 Ok(())
             }
-            Err(Failure::Later(why, pause)) => Err(self.not_now(NotNow { why, pause, answered: true })),
+            Err(Failure::Later(why, pause)) => {
+                let now = self.clock.now();
+                self.queue.note(seq, |tried| {
+                    tried.refused += 1;
+                    tried.refused_at.get_or_insert(now);
+                });
+                Err(self.not_now(NotNow { why, pause, answered: true }))
+            }
             Err(Failure::Unanswered(why)) => Err(self.not_now(NotNow { why, pause: None, answered: false })),
         }
     }
@@ -171,28 +198,17 @@ impl Worker {
         target.send(item)
     }
 
-    /// Puts a document into the dead-letter file.
-    fn give_up(&self, seq: u64, item: &Item, why: &str) {
-        self.metrics.delivery_refused.inc();
-        let name = &self.queue.name;
-        let kept = match self.dead.append(name, item, self.queue.attempts(seq), why) {
-            Ok(()) => format!("it is in {DEAD_LETTERS}"),
-            Err(error) => format!("{DEAD_LETTERS} could not be written: {error}"),
-        };
-        let text = format!("{name} refused {} {} of {} for good; {kept}: {why}", item.kind, item.id, item.loop_name);
-        self.faults.raise_for(&format!("refused by {name}"), text, LOSS_SHOWN);
+    /// A document goes to the dead-letter file.
+    fn give_up(&self, seq: u64, item: &Arc<Item>, why: &str) {
         self.faults.clear(&self.fault());
-        self.settled(seq);
+        let Tried { sent: attempts, .. } = self.queue.tried(seq);
+        let (queue, item, why) = (self.queue.name.clone(), item.clone(), why.to_owned());
+        if self.queue.settle(seq) {
+            self.ledger.bury(Letter { queue, seq, item, attempts, why });
+        }
     }
 
     fn fault(&self) -> String {
         format!("deliver {}", self.queue.name)
-    }
-
-    /// The document waits no longer.
-    fn settled(&self, seq: u64) {
-        if self.queue.settle(seq) {
-            let _ = self.changes.send(Change { queue: self.queue.name.clone(), seq });
-        }
     }
 }

@@ -165,3 +165,33 @@ fn a_disk_that_is_full_or_hangs_has_stopped_the_recorder_until_it_works_again() 
     writer.finish();
     assert!(progress.unfinished().is_empty());
 }
+
+#[test]
+fn loops_that_come_and_go_cost_a_new_file_and_a_file_that_is_full_goes_on_with_its_channels() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut config = Config::with_prefix("p");
+    config.recording.dir = dir.path().to_str().unwrap().to_owned();
+    let id = stiction_monitor::engine::Engine::new(config.engine()).appear("A").unwrap();
+    let (metrics, faults) = (Arc::<Metrics>::default(), Arc::<Faults>::default());
+    let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::standing(1_000_000_000));
+    let (mut recorder, mut writer) = Recorder::pair(run(), config.recording, place, metrics.clone(), faults.clone());
+    let mut heard = |recorder: &mut Recorder, names: std::ops::Range<usize>| {
+        for k in names {
+            // One handle, which loop after loop has had.
+            let sample = Sample { signal: Signal::Op, t_ns: 0, value: Value::number(1.0), quality: None };
+            recorder.record(Item::Raw { id, name: format!("L{k}").into(), sample, arrival_ns: 0 });
+        }
+        writer.turn();
+    };
+    recorder.record(Item::Open { shard: 0, states: Vec::new() });
+    heard(&mut recorder, 0..MANY_CHANNELS - 1);
+    assert!(recorder.rotations.is_empty());
+    heard(&mut recorder, MANY_CHANNELS - 1..MAX_CHANNELS + 5);
+    assert_eq!((recorder.rotations.try_iter().collect::<Vec<_>>(), metrics.recording_lost.get()), (vec![0], 5));
+    heard(&mut recorder, 0..3);
+    recorder.record(Item::Open { shard: 0, states: Vec::new() });
+    heard(&mut recorder, MAX_CHANNELS..MAX_CHANNELS + 5);
+    writer.finish();
+    assert_eq!((metrics.recording_errors.get(), metrics.recording_lost.get()), (0, 5));
+    assert_eq!((metrics.recorded.get(), faults.list().len()), (MAX_CHANNELS as u64 + 3 + 5, 0));
+}

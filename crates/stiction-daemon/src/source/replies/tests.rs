@@ -152,3 +152,24 @@ fn a_key_without_a_wildcard_and_one_that_names_nothing_end() {
     bench.wait_for(0);
     assert_eq!(heard.try_iter().collect::<Vec<_>>(), ["p/@stiction/v1/L00003/alarm=3"]);
 }
+
+#[test]
+fn what_a_query_brings_along_does_not_wait_with_it() {
+    let mut settings = zenoh::Config::default();
+    for (key, value) in [("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]")] {
+        settings.insert_json5(key, value).unwrap();
+    }
+    let session = zenoh::open(settings).wait().unwrap();
+    let (pending, waiting) = unbounded();
+    let replies =
+        Replies::start(Askers::new(&Commands::default()), LastValues::default(), None, Arc::default()).unwrap();
+    let budget = replies.budgets[0].clone();
+    let admit = move |query| pending.send(replies.admit(query)).unwrap();
+    let _queryable = session.declare_queryable("p/x").callback(admit).wait().unwrap();
+    let large = || vec![7_u8; 1 << 20];
+    let _answers = session.get("p/x").payload(large()).attachment(large()).wait().unwrap();
+    let held = waiting.recv_timeout(PATIENCE).unwrap().unwrap();
+    let query = held.query().unwrap();
+    let bytes = [query.payload(), query.attachment()].map(|bytes| bytes.map_or(0, zenoh::bytes::ZBytes::len));
+    assert_eq!((bytes, budget.used() < 1000), ([0, 0], true));
+}
