@@ -326,7 +326,20 @@ pub fn request(
     let text = String::from_utf8_lossy(&bytes);
     let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}, {ended:?}"));
     let status = head.split(' ').nth(1).and_then(|word| word.parse().ok());
-    (status.unwrap_or_else(|| panic!("no status: {head}")), body.to_owned())
+    let in_chunks = head.to_ascii_lowercase().contains("transfer-encoding: chunked");
+    let body = if in_chunks { joined(body) } else { body.to_owned() };
+    (status.unwrap_or_else(|| panic!("no status: {head}")), body)
+}
+
+/// A body that was sent in chunks, each below a line with its length.
+fn joined(mut body: &str) -> String {
+    let mut whole = String::new();
+    while let Some((length, rest)) = body.split_once("\r\n") {
+        let Some((chunk, rest)) = rest.split_at_checked(usize::from_str_radix(length, 16).unwrap()) else { break };
+        whole.push_str(chunk);
+        body = rest.trim_start_matches("\r\n");
+    }
+    whole
 }
 
 /// The headers of a command, as the page sends them.

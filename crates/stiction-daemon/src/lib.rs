@@ -41,7 +41,8 @@ mod start;
 mod worker;
 
 use std::collections::BTreeMap;
-use std::future::Future;
+use std::future::{Future, pending};
+use std::mem;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
@@ -116,12 +117,14 @@ pub async fn run(
     let Shared { metrics, faults, .. } = &shared;
     signals::survive_file_size_limit();
     let hangups = signals::hangups();
-    let lock = start::lock_folder(&shared.recordings, faults)?;
+    tokio::pin!(stop);
+    let Some(lock) = start::lock(&shared, &mut stop).await? else { return Ok(()) };
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
     let view = shared.view(options.origin, control.clone());
-    let server = (options.serve)(view, metrics.registry()).await?;
-    tokio::pin!(stop);
+    let serving = (options.serve)(view, metrics.registry());
+    let Some(server) = start::unless_stopped(serving, pending(), &mut stop).await else { return Ok(()) };
+    let server = server?;
     let Some(opened) = start::open(&config, &shared, options.origin, queue, &mut stop).await? else {
         (server.stop)();
         return Ok(());

@@ -19,7 +19,7 @@ use crate::sink::recorder::{Continued, LOOPS_PER_FILE};
 use stiction_core::units::ns_from_s;
 use stiction_files::RecordingReader;
 use stiction_files::rescue::{REMOVED, SAMPLES_KEY};
-use stiction_files::run::{REFILLED_FROM, RunMetadata};
+use stiction_files::run::{FilePlace, REFILLED_FROM, RunMetadata};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, EngineSettings};
 use stiction_runtime::faults::Faults;
@@ -54,7 +54,7 @@ impl Refilled {
 pub fn refill(dir: &Path, config: &Config, runs: &OwnRuns, now_ns: i64, faults: &Faults) -> Refilled {
     let (started, settings) = (Instant::now(), config.engine());
     let mut refilled = Refilled::empty(config);
-    let last = last_files(dir, &config.site.prefix, runs, faults);
+    let last = last_files(dir, config, runs, faults);
     let reading = Reading {
         config,
         settings,
@@ -74,12 +74,19 @@ pub fn refill(dir: &Path, config: &Config, runs: &OwnRuns, now_ns: i64, faults: 
     refilled
 }
 
-/// The newest file of each shard, those of the newest run first; of this daemon's own runs.
-fn last_files(dir: &Path, prefix: &str, own: &OwnRuns, faults: &Faults) -> Vec<RunFile> {
+/// The newest file of each shard, those of the newest run first; of this daemon's own runs. A name may say anything: a shard
+/// with no place for a loop is passed over.
+fn last_files(dir: &Path, config: &Config, own: &OwnRuns, faults: &Faults) -> Vec<RunFile> {
+    let (prefix, shards) = (&config.site.prefix, config.input.max_loops.div_ceil(LOOPS_PER_FILE));
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
     let mut runs: BTreeMap<String, BTreeMap<usize, (u32, PathBuf)>> = BTreeMap::new();
     for path in entries.map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
-        let Some((run_id, shard, index)) = place_of(&path) else { continue };
+        let Some(FilePlace { run_id, shard, index }) = FilePlace::of(&path) else { continue };
+        if shard >= shards {
+            let why = format!("{}: its name says shard {shard}, and [input] max_loops has {shards}", path.display());
+            faults.raise_for("refill", format!("the windows of some loops begin empty: {why}"), LOSS_SHOWN);
+            continue;
+        }
         let newest = runs.entry(run_id).or_default().entry(shard).or_insert_with(|| (index, path.clone()));
         if index > newest.0 {
             *newest = (index, path);
@@ -88,8 +95,7 @@ fn last_files(dir: &Path, prefix: &str, own: &OwnRuns, faults: &Faults) -> Vec<R
     let run_of = |files: BTreeMap<usize, (u32, PathBuf)>| {
         let of = |path: &PathBuf| {
             let reader = RecordingReader::open(path).ok()?;
-            RunFile::of(path, reader.metadata())
-                .filter(|_| reader.metadata().get("prefix").is_some_and(|p| p == prefix))
+            RunFile::of(path, reader.metadata()).filter(|_| reader.metadata().get("prefix") == Some(prefix))
         };
         let one = files.values().find_map(|(_, path)| of(path))?;
         let file = |(shard, (index, path))| RunFile { path, shard, index, ..one.clone() };
@@ -108,14 +114,6 @@ fn last_files(dir: &Path, prefix: &str, own: &OwnRuns, faults: &Faults) -> Vec<R
     files.dedup_by_key(|f| f.shard);
     files.sort_by_key(|f| (std::cmp::Reverse((f.run_number, f.started_ns)), f.shard));
     files
-}
-
-/// Run, shard and place among the shard's files, by a recording's name.
-fn place_of(path: &Path) -> Option<(String, usize, u32)> {
-    let name = path.file_name()?.to_str()?;
-    let mut parts = name.strip_suffix(".part").unwrap_or(name).strip_suffix(".mcap")?.rsplitn(4, '-');
-    let (index, shard, run_id) = (parts.next()?, parts.next()?, parts.next()?);
-    Some((run_id.to_owned(), shard.strip_prefix('s')?.parse().ok()?, index.parse().ok()?))
 }
 
 /// What is read of each shard.
@@ -221,5 +219,26 @@ impl Reading<'_> {
         }
         files.reverse();
         Ok(files)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_with_a_shard_that_no_loop_can_have_is_passed_over_and_told() {
+        let dir = tempfile::tempdir().unwrap();
+        let pairs = [("prefix", "p"), ("run_id", "r"), ("started_ns", "1"), ("shard", "0"), ("file_index", "0")];
+        let metadata = pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).into_iter().collect();
+        for shard in ["s0", "s99", "s100", "s4000000", "s18446744073709551615"] {
+            let name = format!("p-20260101-r-{shard}-00000");
+            stiction_files::RecordingFile::create(dir.path(), &name, &metadata).unwrap().finish().unwrap();
+        }
+        let (mut config, faults) = (Config::with_prefix("p"), Faults::default());
+        config.input.max_loops = 100 * LOOPS_PER_FILE;
+        let shards: Vec<usize> = last_files(dir.path(), &config, &faults).iter().map(|file| file.shard).collect();
+        assert_eq!(shards, [0, 99]);
+        assert!(faults.list().iter().any(|fault| fault.contains("max_loops")), "{:?}", faults.list());
     }
 }

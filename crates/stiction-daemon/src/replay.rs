@@ -388,6 +388,11 @@ pub fn chains_of(input: &Path) -> anyhow::Result<Vec<Vec<PathBuf>>> {
     let mut files = Vec::new();
     let entries = std::fs::read_dir(input).with_context(|| input.display().to_string())?;
     for path in entries.flatten().map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
+        // A kill before the first flush leaves nothing in a file.
+        if path.extension().is_some_and(|e| e == "part") && std::fs::metadata(&path).is_ok_and(|m| m.len() == 0) {
+            tracing::warn!(file = %path.display(), "is empty: left out");
+            continue;
+        }
         let reader = RecordingReader::open(&path)?;
         if let Some(file) = RunFile::of(&path, reader.metadata()) {
             files.push(file);
@@ -524,6 +529,18 @@ pub(super) fn neighbour(path: &Path, name: &str) -> Option<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_that_a_kill_left_empty_is_left_out_and_a_damaged_one_is_an_error() {
+        let dir = tempfile::tempdir().unwrap();
+        let pairs = [("prefix", "p"), ("run_id", "r"), ("started_ns", "1"), ("shard", "0"), ("file_index", "0")];
+        let metadata = pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).into_iter().collect();
+        let whole = stiction_files::RecordingFile::create(dir.path(), "a", &metadata).unwrap().finish().unwrap();
+        std::fs::write(dir.path().join("b.mcap.part"), b"").unwrap();
+        assert_eq!(chains_of(dir.path()).unwrap(), [[whole]]);
+        std::fs::write(dir.path().join("c.mcap"), b"").unwrap();
+        assert!(chains_of(dir.path()).unwrap_err().to_string().contains("c.mcap"));
+    }
 
     #[test]
     fn a_loop_that_changed_hands_is_refused_with_a_remedy() {

@@ -32,6 +32,8 @@ const RUNS: usize = 20;
 const NEWEST: usize = 8;
 /// Runs that the store remembers: more than any loop's newest recordings are from.
 const RUNS_KEPT: usize = 1000;
+/// Runs that a folder can have had; a file that says more is not from here.
+const MOST_RUNS: i64 = 1 << 40;
 /// What the name of a file that was put aside ends in.
 pub const ASIDE: &str = ".broken";
 
@@ -59,7 +61,7 @@ impl RunFile {
         let number = |key: &str| metadata.get(key)?.parse::<i64>().ok();
         Some(Self {
             path: path.to_owned(),
-            run_number: number("run_number").and_then(|n| u64::try_from(n).ok()).unwrap_or(0),
+            run_number: number("run_number").filter(|n| (0..MOST_RUNS).contains(n)).map_or(0, i64::unsigned_abs),
             started_ns: number("started_ns")?,
             run_id: metadata.get("run_id")?.clone(),
             shard: usize::try_from(number("shard")?).ok()?,
@@ -420,6 +422,16 @@ mod tests {
 
     fn start(dir: &Path) -> Restored {
         restore(&SystemDisk, dir, "p", &Faults::default(), &Metrics::default())
+    }
+
+    #[test]
+    fn a_run_number_that_no_folder_can_have_makes_no_run_the_newest() {
+        let dir = tempfile::tempdir().unwrap();
+        record(dir.path(), 3, 100, &[("A", true)]);
+        record(dir.path(), u64::MAX, 200, &[("A", false)]);
+        record(dir.path(), i64::MAX as u64, 300, &[("A", false)]);
+        let first = start(dir.path());
+        assert_eq!((raised(&first), first.run_number), (vec!["A"], 4));
     }
 
     #[test]

@@ -14,7 +14,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, TryRecvError};
 
 use super::restore::{RunFile, is_recording, tell_aside};
 use crate::sink::keeper::Notes;
-use stiction_files::lock::FolderLock;
+use stiction_files::lock::SharedLock;
 use stiction_files::rescue::{REMOVED, SAMPLES_KEY, take_samples_out, under_way};
 use stiction_files::{End, RecordingReader};
 use stiction_monitor::config::Retention;
@@ -50,7 +50,7 @@ pub struct RetentionParts {
     /// The configuration in force, which says what may be kept.
     pub config: CurrentConfig,
     /// The folder's lock.
-    pub lock: Option<FolderLock>,
+    pub lock: SharedLock,
     /// Where files that were found whole are remembered; none in a demonstration.
     pub notes: Option<Notes>,
     /// What earlier runs noted of files that they found whole, by name.
@@ -133,11 +133,11 @@ impl RetentionWorker {
 
     /// Looks at the folder once, and removes what the retention allows no longer.
     pub fn keep(&mut self) {
-        if let Some(lock) = &mut self.parts.lock {
-            match lock.renew() {
-                Ok(()) => self.parts.faults.clear("lock"),
-                Err(error) => self.parts.faults.raise("lock", error.to_string()),
-            }
+        match self.parts.lock.renew() {
+            Ok(true) => self.parts.faults.clear("lock"),
+            // Why there is none was told at the start.
+            Ok(false) => {}
+            Err(error) => self.parts.faults.raise("lock", error.to_string()),
         }
         tell_aside(&self.parts.dir, &self.parts.faults);
         let files = self.files();
@@ -459,7 +459,7 @@ mod tests {
             prefix: "p".into(),
             run_id: "now".into(),
             config: CurrentConfig::new(stiction_monitor::config::Config::with_prefix("p")),
-            lock: None,
+            lock: SharedLock::default(),
             notes,
             verified,
             metrics: Arc::default(),

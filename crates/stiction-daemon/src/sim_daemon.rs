@@ -29,6 +29,7 @@ use crate::source::shares::Shares;
 use crate::source::{CONTROL_QUEUE, Envelope, Intake, Message};
 use stiction_core::verdict::Assessment;
 use stiction_files::disk::Disk;
+use stiction_files::lock::SharedLock;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::{Config, ConfigChanges, Deliver};
 use stiction_monitor::engine::{Comparison, Engine, GapRequest, Request};
@@ -139,7 +140,7 @@ impl SimDaemon {
             prefix,
             run_id: run_id.clone(),
             config: current,
-            lock: None,
+            lock: SharedLock::default(),
             notes: Some(keeper.notes()),
             verified,
             metrics: metrics.clone(),

@@ -1,7 +1,7 @@
 //! The first part of a run's start: reads what earlier runs left, opens the session, starts the threads that take results.
 
 use std::convert::Infallible;
-use std::future::Future;
+use std::future::{Future, pending};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, RwLock};
 use std::time::{Duration, Instant};
@@ -23,8 +23,8 @@ use crate::sink::zenoh::Publisher;
 use crate::source::shares::Shares;
 use crate::source::zenoh::Subscriptions;
 use crate::source::{self, Intake, Message};
-use stiction_files::disk::SystemDisk;
-use stiction_files::lock::{FolderLock, LockError};
+use stiction_files::disk::{Disk, SystemDisk};
+use stiction_files::lock::{FolderLock, LockError, LockedDisk, SharedLock};
 use stiction_monitor::config::Config;
 use stiction_runtime::clock::Clock;
 use stiction_runtime::control::Control;
@@ -107,7 +107,7 @@ pub(super) async fn open(
     queue: Sender<Message>,
     stop: &mut (impl Future<Output = ()> + Unpin),
 ) -> anyhow::Result<Option<Opened>> {
-    let Shared { faults, metrics, snapshot, recordings, .. } = shared;
+    let Shared { faults, metrics, snapshot, .. } = shared;
     let restored = if goes_on(origin) {
         let reading = restore_in_background(config, faults, metrics);
         let Some(read) = unless_stopped(reading, ask_for_patience(faults, snapshot), stop).await else {
@@ -117,7 +117,6 @@ pub(super) async fn open(
     } else {
         Restored::default()
     };
-    restore::tell_aside(recordings, faults);
     // A client's session opens once its router is there, which may be never.
     let opening = source::zenoh::open(config);
     let Some(opened) = unless_stopped(opening, wait_for_router(faults, snapshot), stop).await else { return Ok(None) };
@@ -154,7 +153,7 @@ fn goes_on(origin: &str) -> bool {
 }
 
 /// Waits for `work` and runs `meanwhile` beside it; `None` if the daemon is stopped first.
-async fn unless_stopped<T>(
+pub(super) async fn unless_stopped<T>(
     work: impl Future<Output = T>,
     meanwhile: impl Future<Output = Infallible>,
     stop: &mut (impl Future<Output = ()> + Unpin),
@@ -182,20 +181,22 @@ pub(super) fn threads(
     config: &Config,
     shared: &Shared,
     run: RunInfo,
-    (restored, lock): (Restored, Option<FolderLock>),
+    (restored, lock): (Restored, SharedLock),
     session: &zenoh::Session,
 ) -> anyhow::Result<(Vec<NamedThread>, Sinks)> {
     let Shared { current, recordings, metrics, faults, overview, last, .. } = shared;
     let (run_id, daemon_id, is_kept) = (run.run_id.clone(), run.daemon.clone(), goes_on(run.origin));
     let told = (metrics.clone(), faults.clone());
+    let disk = Arc::new(LockedDisk::new(lock.clone())) as Arc<dyn Disk>;
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), told)?;
-    let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
+    let (recorder, recording) =
+        Recorder::start(run, config.recording.clone(), disk.clone(), metrics.clone(), faults.clone())?;
     let mut threads = vec![("recorder", recording), ("publisher", publishing)];
     let prefix = &config.site.prefix;
     let (mut keeper, mark) = (None, Mark::default());
     if is_kept {
         let stored = (restored.store, mark.clone());
-        let (started, keeping) = Keeper::start(recordings, prefix, stored, faults.clone(), metrics.clone())?;
+        let (started, keeping) = Keeper::start(recordings, prefix, stored, disk, faults.clone(), metrics.clone())?;
         if let Some(runs) = restored.runs.and(&run_id) {
             started.notes().runs(prefix, runs);
         }
@@ -243,7 +244,11 @@ async fn restore_in_background(config: &Config, faults: &Arc<Faults>, metrics: &
     let (dir, prefix) = (PathBuf::from(&config.recording.dir), config.site.prefix.clone());
     let (faults, metrics) = (faults.clone(), metrics.clone());
     let named = faults.clone();
-    let read = move || restore::restore(&SystemDisk, &dir, &prefix, &faults, &metrics);
+    let read = move || {
+        let restored = restore::restore(&SystemDisk, &dir, &prefix, &faults, &metrics);
+        restore::tell_aside(&dir, &faults);
+        restored
+    };
     tokio::task::spawn_blocking(read).await.unwrap_or_else(|error| {
         named.raise("restore", format!("earlier runs' alarm states could not be read, the log says where: {error}"));
         Restored::default()
@@ -295,8 +300,22 @@ async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) -> Infallib
     }
 }
 
-/// Makes the folder and locks it against a second daemon. Where the disk refuses, the daemon goes on without.
-pub(super) fn lock_folder(dir: &Path, faults: &Faults) -> anyhow::Result<Option<FolderLock>> {
+/// Makes the folder and locks it against a second daemon, on a thread of its own; `None` if the daemon is stopped while the
+/// disk hangs.
+pub(super) async fn lock(
+    shared: &Shared,
+    stop: &mut (impl Future<Output = ()> + Unpin),
+) -> anyhow::Result<Option<SharedLock>> {
+    let (dir, faults) = (shared.recordings.clone(), shared.faults.clone());
+    let locking = tokio::task::spawn_blocking(move || lock_folder(&dir, &faults));
+    match unless_stopped(locking, pending(), stop).await {
+        Some(locked) => Ok(Some(SharedLock::new(locked??))),
+        None => Ok(None),
+    }
+}
+
+/// Where the disk refuses, the daemon goes on without.
+fn lock_folder(dir: &Path, faults: &Faults) -> anyhow::Result<Option<FolderLock>> {
     let made = std::fs::create_dir_all(dir);
     match FolderLock::take(dir) {
         Ok(lock) => Ok(Some(lock)),

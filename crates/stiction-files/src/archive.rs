@@ -1,7 +1,7 @@
 //! Messages of a few topics from the recordings of a folder: newest file first, through each file's index, within a time
 //! limit. For looking back, not for replay: a file that cannot be read is skipped.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -15,8 +15,11 @@ use mcap::{McapError, Summary};
 use super::columns;
 use super::mcap_index::MAX_RECORD;
 use super::mcap_read::RecordingReader;
+use super::run::FilePlace;
 use stiction_core::record::{Sample, Signal};
-use stiction_monitor::codec::{encode_recorded, topic};
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic::{self, Kind, Leaf, Topic};
+use stiction_monitor::engine::StateDocument;
 
 /// Most time ranges cached by file and topic; when full, the cache is emptied.
 const REMEMBERED: usize = 100_000;
@@ -25,6 +28,8 @@ const LOOK_EVERY: usize = 256;
 
 /// Cached time ranges by file and topic.
 type Ranges = HashMap<(PathBuf, String), Option<[i64; 2]>>;
+/// Cached stamps by file and loop.
+type Stamps = HashMap<(PathBuf, String), Option<i64>>;
 
 /// Reads a folder of recordings.
 #[derive(Debug)]
@@ -33,6 +38,8 @@ pub struct Archive {
     prefix: String,
     /// First and last source time of a topic in a finished file, ns; `None` if the file has no such messages.
     ranges: Mutex<Ranges>,
+    /// Greatest stamp of a loop before a file began, ns; `None` where the file does not say.
+    before: Mutex<Stamps>,
 }
 
 /// One recorded message.
@@ -81,7 +88,7 @@ impl Archive {
     /// The recordings of a folder whose topics have a prefix.
     #[must_use]
     pub fn new(dir: &Path, prefix: &str) -> Self {
-        Self { dir: dir.to_owned(), prefix: prefix.to_owned(), ranges: Mutex::default() }
+        Self { dir: dir.to_owned(), prefix: prefix.to_owned(), ranges: Mutex::default(), before: Mutex::default() }
     }
 
     /// Prefix of every topic.
@@ -90,16 +97,25 @@ impl Archive {
         &self.prefix
     }
 
-    /// Passes every matching message to `take`, newest file first and in file order within a file. It stops at a file whose
-    /// messages are all before the range, because recordings advance in time.
+    /// Passes every matching message to `take`, newest file first and in file order within a file. Of a run it reads no file
+    /// that began after all of the loop's stamps so far were before the range: older data may come later, newer never earlier.
     pub fn read(&self, wanted: &Wanted, take: &mut dyn FnMut(RecordedMessage<'_>)) -> Reach {
+        let mut done = HashSet::new();
         for (path, open) in self.files() {
             if Instant::now() >= wanted.until {
                 return Reach::Part;
             }
+            let run = FilePlace::of(&path).map(|place| place.run_id);
+            if run.as_ref().is_some_and(|run| done.contains(run)) {
+                continue;
+            }
+            let is_before = |[_, last]: [i64; 2]| last < wanted.range_ns[0];
             match self.known(&path, wanted) {
                 Some(None) => continue,
-                Some(Some([_, last])) if last < wanted.range_ns[0] => return Reach::All,
+                Some(Some(range)) if is_before(range) => {
+                    done.extend(run.filter(|_| self.begins_before(&path, wanted)));
+                    continue;
+                }
                 Some(Some([first, _])) if first > wanted.range_ns[1] => continue,
                 _ => {}
             }
@@ -115,11 +131,31 @@ impl Archive {
                 Ok(Reach::All) => {}
                 Err(error) => tracing::debug!(path = %path.display(), %error, "skipped a recording"),
             }
-            if seen.range.is_some_and(|[_, last]| last < wanted.range_ns[0]) {
-                return Reach::All;
+            if seen.range.is_some_and(is_before) {
+                done.extend(run.filter(|_| self.begins_before(&path, wanted)));
             }
         }
         Reach::All
+    }
+
+    /// Whether every stamp of the loops in question was before the range when a file began, as far as the file tells.
+    fn begins_before(&self, path: &Path, wanted: &Wanted) -> bool {
+        let names = wanted.topics.iter().map(|topic| Topic::parse(Some(&self.prefix), topic).map(|t| t.loop_name));
+        let Some(names) = names.collect::<Option<BTreeSet<&str>>>() else { return false };
+        names.into_iter().all(|name| {
+            let key = (path.to_owned(), name.to_owned());
+            let known = self.before.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
+            let greatest = known.unwrap_or_else(|| {
+                let read = greatest_before(path, &self.prefix, name);
+                let mut before = self.before.lock().unwrap_or_else(PoisonError::into_inner);
+                if before.len() >= REMEMBERED {
+                    before.clear();
+                }
+                before.insert(key, read);
+                read
+            });
+            greatest.is_some_and(|t_ns| t_ns < wanted.range_ns[0])
+        })
     }
 
     /// Recordings, newest first, and whether each is still being written.
@@ -129,8 +165,12 @@ impl Archive {
             .filter_map(|entry| {
                 let name = entry.file_name().to_string_lossy().into_owned();
                 let open = name.ends_with(".mcap.part");
-                let modified = entry.metadata().and_then(|m| m.modified()).ok()?;
-                (open || name.ends_with(".mcap")).then(|| (modified, entry.path(), open))
+                if !open && !name.ends_with(".mcap") {
+                    return None;
+                }
+                // Whoever opens a pipe waits for its other end.
+                let there = fs::metadata(entry.path()).ok().filter(fs::Metadata::is_file)?;
+                Some((there.modified().ok()?, entry.path(), open))
             })
             .collect();
         files.sort_by(|a, b| b.cmp(a));
@@ -183,6 +223,22 @@ impl Seen {
             take(found);
         }
     }
+}
+
+/// The greatest stamp of a loop when a file began, from the states at its head.
+fn greatest_before(path: &Path, prefix: &str, name: &str) -> Option<i64> {
+    let mut reader = RecordingReader::open(path).ok()?;
+    while let Some(message) = reader.next_message().ok()? {
+        let Some(topic) = Topic::parse(Some(prefix), message.topic()) else { continue };
+        if topic.leaf != Leaf::Document(Kind::State) {
+            return None;
+        }
+        if topic.loop_name == name {
+            let state: StateDocument = serde_json::from_slice(message.data).ok()?;
+            return state.checkpoint.stream?.greatest_ns();
+        }
+    }
+    None
 }
 
 /// A timestamp as the recorder writes it: 0 means none, then the arrival time counts.
@@ -357,6 +413,75 @@ mod tests {
         let (reach, found) = all(&archive, &topic, [i64::MIN, i64::MAX]);
         assert_eq!(reach, Reach::All);
         assert!(found.len() > 100, "{}", found.len());
+    }
+
+    /// A file of a run, with the loop's greatest stamp so far at its head and a PV a second.
+    fn write_file(dir: &Path, run: &str, index: u32, before_s: Option<i64>, stamps_s: std::ops::Range<i64>) {
+        const S: i64 = 1_000_000_000;
+        let metadata = [("prefix", "p"), ("run_id", run)].map(|(k, v)| (k.to_owned(), v.to_owned()));
+        let stem = format!("p-20260101-{run}-s0-{index:05}");
+        let mut file = crate::RecordingFile::create(dir, &stem, &metadata.into_iter().collect()).unwrap();
+        if let Some(before_s) = before_s {
+            let mut engine =
+                stiction_monitor::engine::Engine::new(stiction_monitor::config::Config::with_prefix("p").engine());
+            let id = engine.appear("A").unwrap();
+            for signal in [Signal::Op, Signal::Pv] {
+                let value = stiction_core::record::Value::Number(1.0);
+                engine.push(id, Sample { signal, t_ns: before_s * S, value, quality: None }, &mut Vec::new());
+            }
+            let state = StateDocument::new("A", None, engine.checkpoint(id));
+            let topic = topic::result("p", "A", Kind::State);
+            file.write(&topic, Kind::State, 1, 1, &serde_json::to_vec(&state).unwrap()).unwrap();
+        }
+        for t_s in stamps_s {
+            let value = stiction_core::record::Value::Number(t_s as f64);
+            let sample = Sample { signal: Signal::Pv, t_ns: t_s * S, value, quality: None };
+            file.sample(&topic::raw("p", "A", Signal::Pv), t_s * S, &sample).unwrap();
+        }
+        file.finish().unwrap();
+        // Files of equal times would be sorted by name.
+        let at = SystemTime::UNIX_EPOCH + Duration::from_secs(u64::from(index) + if run == "new" { 100 } else { 1 });
+        File::options().write(true).open(dir.join(format!("{stem}.mcap"))).unwrap().set_modified(at).unwrap();
+    }
+
+    #[test]
+    fn older_data_that_came_later_hide_no_newer_ones_and_what_lies_before_them_is_not_read() {
+        let dir = tempfile::tempdir().unwrap();
+        write_file(dir.path(), "old", 0, None, 5000..5100);
+        write_file(dir.path(), "new", 0, None, 1000..1100);
+        write_file(dir.path(), "new", 1, Some(1099), 1100..1200);
+        // What was kept back for a day came last.
+        write_file(dir.path(), "new", 2, Some(1199), 100..200);
+        let archive = Archive::new(dir.path(), "p");
+        let count = |from_s: i64, to_s: i64| {
+            let (reach, found) = all(&archive, "p/A/pv", [from_s, to_s].map(|s| s * 1_000_000_000));
+            (reach, found.len())
+        };
+        for _ in 0..2 {
+            assert_eq!(count(1150, 1199), (Reach::All, 50), "behind a file with older data");
+            assert_eq!(count(150, 1150), (Reach::All, 151));
+            assert_eq!(count(5050, 9999), (Reach::All, 50), "of a run whose clock was ahead");
+        }
+        // Before the file that begins with 1099 none of the run can hold later stamps: it is not read.
+        let first = dir.path().join("p-20260101-new-s0-00000.mcap");
+        std::fs::write(&first, b"no longer a recording").unwrap();
+        let fresh = Archive::new(dir.path(), "p");
+        assert_eq!(all(&fresh, "p/A/pv", [1_300_000_000_000, 1_400_000_000_000]), (Reach::All, Vec::new()));
+        let read: BTreeSet<String> =
+            fresh.ranges.lock().unwrap().keys().map(|(path, _)| path.display().to_string()).collect();
+        assert_eq!(read.len(), 2, "{read:?}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_under_the_name_of_a_recording_is_passed_over() {
+        let dir = tempfile::tempdir().unwrap();
+        write_file(dir.path(), "new", 0, None, 1..11);
+        let made = std::process::Command::new("mkfifo").arg(dir.path().join("b.mcap")).status().unwrap();
+        assert!(made.success());
+        fs::create_dir(dir.path().join("c.mcap")).unwrap();
+        let archive = Archive::new(dir.path(), "p");
+        assert_eq!(all(&archive, "p/A/pv", [i64::MIN, i64::MAX]).1.len(), 10);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use redb::{Builder, Database};
 
@@ -39,7 +39,7 @@ pub trait Disk: Send + Sync {
     /// Error of the disk.
     fn create_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Renames a file, replacing the target.
+    /// Renames a file, replacing the target; once this returns, the new name outlives a power cut.
     ///
     /// # Errors
     /// Error of the disk.
@@ -69,7 +69,8 @@ impl Disk for SystemDisk {
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        fs::rename(from, to)
+        fs::rename(from, to)?;
+        sync_folder_of(to)
     }
 
     fn open_store(&self, builder: &Builder, path: &Path) -> Result<Database, redb::Error> {
@@ -107,6 +108,51 @@ impl DiskFile for File {
     fn is_at(&self, path: &Path) -> bool {
         let Ok(open) = self.metadata() else { return false };
         fs::metadata(path).is_ok_and(|there| super::same_file(&open, &there))
+    }
+}
+
+/// A disk in memory that holds one file, whatever its name.
+#[derive(Debug, Clone, Default)]
+pub struct MemoryDisk(Arc<Mutex<Vec<u8>>>);
+
+impl MemoryDisk {
+    /// What was written, which is gone from here then.
+    #[must_use]
+    pub fn take(&self) -> Vec<u8> {
+        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Disk for MemoryDisk {
+    fn create_new(&self, _: &Path) -> io::Result<Arc<dyn DiskFile>> {
+        Ok(Arc::new(self.clone()))
+    }
+
+    fn create_folder(&self, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn rename(&self, _: &Path, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn open_store(&self, _: &Builder, _: &Path) -> Result<Database, redb::Error> {
+        Err(redb::Error::Io(io::ErrorKind::Unsupported.into()))
+    }
+}
+
+impl DiskFile for MemoryDisk {
+    fn append(&self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn sync(&self, _: bool) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn is_at(&self, _: &Path) -> bool {
+        true
     }
 }
 

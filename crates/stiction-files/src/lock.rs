@@ -3,8 +3,12 @@
 use std::fs::{File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
+use redb::{Builder, Database};
 use thiserror::Error;
+
+use super::disk::{Disk, DiskFile, SystemDisk};
 
 /// Why a folder could not be locked.
 #[derive(Debug, Error)]
@@ -66,9 +70,69 @@ impl FolderLock {
     }
 }
 
+/// The lock of a folder, if there is one, shared by all that write there.
+#[derive(Debug, Clone, Default)]
+pub struct SharedLock(Arc<Mutex<Option<FolderLock>>>);
+
+impl SharedLock {
+    /// Shares a lock.
+    #[must_use]
+    pub fn new(lock: Option<FolderLock>) -> Self {
+        Self(Arc::new(Mutex::new(lock)))
+    }
+
+    /// As [`FolderLock::renew`]; says whether there is a lock.
+    ///
+    /// # Errors
+    /// As [`FolderLock::take`].
+    pub fn renew(&self) -> Result<bool, LockError> {
+        match &mut *self.0.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(lock) => lock.renew().map(|()| true),
+            None => Ok(false),
+        }
+    }
+}
+
+/// The system's disk for files of a locked folder: nothing is made in one that another process holds by now.
+#[derive(Debug, Clone, Default)]
+pub struct LockedDisk(SharedLock);
+
+impl LockedDisk {
+    /// Below this lock.
+    #[must_use]
+    pub const fn new(lock: SharedLock) -> Self {
+        Self(lock)
+    }
+
+    fn check(&self) -> io::Result<()> {
+        self.0.renew().map(drop).map_err(io::Error::other)
+    }
+}
+
+impl Disk for LockedDisk {
+    fn create_new(&self, path: &Path) -> io::Result<Arc<dyn DiskFile>> {
+        self.check()?;
+        SystemDisk.create_new(path)
+    }
+
+    fn create_folder(&self, path: &Path) -> io::Result<()> {
+        SystemDisk.create_folder(path)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        SystemDisk.rename(from, to)
+    }
+
+    fn open_store(&self, builder: &Builder, path: &Path) -> Result<Database, redb::Error> {
+        self.check().map_err(redb::Error::Io)?;
+        SystemDisk.open_store(builder, path)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::{STORE_NAME, StateStore};
 
     #[test]
     fn a_folder_is_locked_once_and_again_after_it_was_made_anew() {
@@ -85,5 +149,35 @@ mod tests {
         drop(lock);
         FolderLock::take(&path).unwrap();
         assert!(matches!(FolderLock::take(&dir.path().join("none")), Err(LockError::Io { .. })));
+    }
+
+    #[test]
+    fn a_folder_that_another_holds_by_now_takes_no_new_file_and_no_store() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("rec");
+        std::fs::create_dir(&path).unwrap();
+        let disk = LockedDisk::new(SharedLock::new(Some(FolderLock::take(&path).unwrap())));
+        let make = |name: &str| disk.create_new(&path.join(name)).map(drop);
+        let store = || StateStore::open_on(&disk, &path.join(STORE_NAME)).map(drop);
+        make("a").unwrap();
+        let anew = |name: &str| {
+            std::fs::rename(&path, dir.path().join(name)).unwrap();
+            disk.create_folder(&path).unwrap();
+        };
+        // Whoever makes the first file or store in a folder that was made anew holds it.
+        anew("moved");
+        make("b").unwrap();
+        assert!(matches!(FolderLock::take(&path), Err(LockError::Held { .. })));
+        anew("moved again");
+        store().unwrap();
+        let other = FolderLock::take(&path);
+        assert!(matches!(other, Err(LockError::Held { .. })));
+        anew("moved once more");
+        let other = FolderLock::take(&path).unwrap();
+        let refused = [make("c").unwrap_err().to_string(), store().unwrap_err().to_string()];
+        assert!(refused.iter().all(|why| why.contains("running daemon")), "{refused:?}");
+        assert_eq!(std::fs::read_dir(&path).unwrap().count(), 0);
+        drop(other);
+        make("c").unwrap();
     }
 }

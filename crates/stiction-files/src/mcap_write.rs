@@ -8,7 +8,7 @@ mod samples;
 
 use super::alarm_log::{self, LOG_SCHEMA, log_message, log_topic};
 use super::columns::{self, Columns};
-use super::disk::{Disk, DiskFile, Handle, SystemDisk};
+use super::disk::{Disk, DiskFile, Handle, MemoryDisk, SystemDisk};
 use super::mcap_roster::{Listed, Roster};
 use super::schemas;
 use super::seal::Sum;
@@ -152,6 +152,16 @@ impl RecordingFile {
     /// [`WriteError`] if the file cannot be created or written.
     pub fn create_at(part: PathBuf, target: PathBuf, metadata: &BTreeMap<String, String>) -> Result<Self, WriteError> {
         Self::begin(&(Arc::new(SystemDisk) as Arc<dyn Disk>), part, target, metadata)
+    }
+
+    /// A recording in memory; the disk has its bytes once it is finished.
+    ///
+    /// # Errors
+    /// [`WriteError`] if it cannot be written.
+    pub fn create_in_memory(metadata: &BTreeMap<String, String>) -> Result<(Self, MemoryDisk), WriteError> {
+        let disk = MemoryDisk::default();
+        let shared = Arc::new(disk.clone()) as Arc<dyn Disk>;
+        Ok((Self::begin(&shared, PathBuf::new(), PathBuf::new(), metadata)?, disk))
     }
 
     fn begin(
@@ -382,7 +392,6 @@ impl RecordingFile {
         }
         self.file.sync(true).map_err(|cause| self.fail(cause))?;
         self.disk.rename(&self.part, &self.target).map_err(|cause| self.fail(cause))?;
-        sync_folder(&self.target)?;
         Ok(self.target.clone())
     }
 

@@ -4,11 +4,12 @@
 //! People open the index in a spreadsheet, which takes a cell that begins with `=` and the like for a formula. Such a cell is
 //! written with an apostrophe before it, which reading takes away again.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
@@ -136,19 +137,61 @@ fn lines_of(reviews: impl IntoIterator<Item = Review>, with_head: bool) -> io::R
     lines.into_inner().map_err(|e| io::Error::other(e.to_string()))
 }
 
+/// Reviews as they were read.
+#[derive(Debug, Default, PartialEq)]
+pub struct ReviewList {
+    all: Vec<Review>,
+    newest: HashMap<String, usize>,
+}
+
+impl ReviewList {
+    fn new(all: Vec<Review>) -> Self {
+        let newest = all.iter().enumerate().map(|(k, review)| (review.r#loop.clone(), k)).collect();
+        Self { all, newest }
+    }
+
+    /// Every review, oldest first.
+    #[must_use]
+    pub fn all(&self) -> &[Review] {
+        &self.all
+    }
+
+    /// The last review of a loop.
+    #[must_use]
+    pub fn newest_of(&self, loop_name: &str) -> Option<&Review> {
+        self.all.get(*self.newest.get(loop_name)?)
+    }
+
+    /// The index for people to open in a spreadsheet.
+    ///
+    /// # Errors
+    /// A line cannot be written.
+    pub fn table(&self) -> io::Result<Vec<u8>> {
+        if self.all.is_empty() {
+            return Ok(b"file,label\n".to_vec());
+        }
+        lines_of(self.all.iter().cloned(), true)
+    }
+}
+
+/// Size and time of the last change of the index: while both stay, so does its content.
+type IndexStamp = (u64, Option<SystemTime>);
+
 /// The reviews of a folder.
 #[derive(Debug)]
 pub struct Reviews {
     dir: PathBuf,
     /// Held while a line is written.
     writing: Mutex<()>,
+    /// What was read last. Never held while the disk is asked.
+    read: Mutex<(Option<IndexStamp>, Arc<ReviewList>)>,
 }
 
 impl Reviews {
     /// Those below a folder of recordings.
     #[must_use]
     pub fn below(recordings: &Path) -> Self {
-        Self { dir: recordings.join(FOLDER), writing: Mutex::default() }
+        Self { dir: recordings.join(FOLDER), writing: Mutex::default(), read: Mutex::default() }
     }
 
     /// The index.
@@ -217,7 +260,8 @@ impl Reviews {
         let number = kept.len();
         let named: HashSet<String> = kept.iter().map(|review| review.file.clone()).collect();
         self.write_all(kept)?;
-        for file in old.iter().map(|review| &review.file).filter(|file| !file.is_empty() && !named.contains(*file)) {
+        let is_ours = |file: &&String| is_plain_name(file) && !named.contains(*file);
+        for file in old.iter().map(|review| &review.file).filter(is_ours) {
             // One that somebody removed before is gone too.
             let _ = fs::remove_file(self.dir.join(file));
         }
@@ -231,32 +275,43 @@ impl Reviews {
         Ok(entries.filter_map(|entry| entry.ok()?.metadata().ok()).map(|meta| meta.len()).sum())
     }
 
-    /// The index for people to open in a spreadsheet.
-    ///
-    /// # Errors
-    /// It cannot be read; the message names the line.
-    pub fn table(&self) -> Result<Vec<u8>, String> {
-        let all = self.all()?;
-        if all.is_empty() {
-            return Ok(b"file,label\n".to_vec());
-        }
-        lines_of(all, true).map_err(|error| error.to_string())
-    }
-
-    /// Every review, oldest first.
+    /// The reviews, read again where the index has changed.
     ///
     /// # Errors
     /// The index cannot be read; the message names the line.
-    pub fn all(&self) -> Result<Vec<Review>, String> {
+    pub fn read(&self) -> Result<Arc<ReviewList>, String> {
+        let stamp = fs::metadata(self.index()).ok().map(|meta| (meta.len(), meta.modified().ok()));
+        let known = self.read.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        if known.0 == stamp {
+            return Ok(known.1);
+        }
+        let list = Arc::new(ReviewList::new(self.all()?));
+        *self.read.lock().unwrap_or_else(PoisonError::into_inner) = (stamp, list.clone());
+        Ok(list)
+    }
+
+    /// The reviews as they were read last, without asking the disk.
+    #[must_use]
+    pub fn known(&self) -> Arc<ReviewList> {
+        self.read.lock().unwrap_or_else(PoisonError::into_inner).1.clone()
+    }
+
+    fn all(&self) -> Result<Vec<Review>, String> {
         let index = self.index();
-        if !index.exists() {
-            return Ok(Vec::new());
+        let Ok(meta) = fs::metadata(&index) else { return Ok(Vec::new()) };
+        if !meta.is_file() {
+            return Err(format!("{} is not a file; move it elsewhere", index.display()));
         }
         let failed = |error: csv::Error| format!("{}: {error}; correct the line or remove it", index.display());
         let mut reader = csv::Reader::from_path(&index).map_err(failed)?;
         let read = |row: Result<Review, csv::Error>| row.map(|review| review.map_texts(unescaped));
         reader.deserialize().map(read).collect::<Result<_, _>>().map_err(failed)
     }
+}
+
+/// Whether a name leads to a file in the same folder, whoever wrote it.
+fn is_plain_name(name: &str) -> bool {
+    !name.contains(['/', '\\']) && Path::new(name).file_name().is_some_and(|own| own == name)
 }
 
 /// The name of the table of a review's samples. Loops whose names differ in characters that file names cannot have get
@@ -313,7 +368,7 @@ mod tests {
             prop_assert!(Path::new(&kept.file).components().count() == 1);
             prop_assert!(folder.path().join(FOLDER).join(&kept.file).is_file());
             prop_assert!(all[1].file.is_empty());
-            for index in [fs::read(reviews.index()).unwrap(), reviews.table().unwrap()] {
+            for index in [fs::read(reviews.index()).unwrap(), reviews.read().unwrap().table().unwrap()] {
                 for row in csv::ReaderBuilder::new().has_headers(false).from_reader(index.as_slice()).records() {
                     prop_assert!(row.unwrap().iter().all(|cell| !cell.starts_with(FORMULA_STARTS)));
                 }
@@ -337,6 +392,46 @@ mod tests {
         assert_eq!(reviews.all().unwrap(), [third, newest]);
         let is_there = |review: &Review| folder.path().join(FOLDER).join(&review.file).is_file();
         assert!(!is_there(&first) && is_there(&second));
+    }
+
+    #[test]
+    fn an_index_that_others_wrote_removes_no_file_outside_its_folder() {
+        const DAY: i64 = 86_400_000_000_000;
+        let folder = tempfile::tempdir().unwrap();
+        let reviews = Reviews::below(folder.path());
+        let kept = reviews.keep(Review { at: Moment(DAY), ..review("A", None) }, &samples(), 0.0).unwrap();
+        let outside = [folder.path().join("recording.mcap"), folder.path().join("elsewhere")];
+        let below = folder.path().join(FOLDER).join("below");
+        fs::create_dir(&below).unwrap();
+        let names = ["../recording.mcap", outside[1].to_str().unwrap(), "below/x", "..", "."];
+        for path in outside.iter().chain([&below.join("x")]) {
+            fs::write(path, "kept").unwrap();
+        }
+        let mut all = reviews.all().unwrap();
+        all.extend(names.map(|name| Review { file: name.to_owned(), ..all[0].clone() }));
+        reviews.write_all(all).unwrap();
+        reviews.keep(Review { at: Moment(99 * DAY), ..review("B", None) }, &samples(), 10.0).unwrap();
+        assert_eq!(reviews.all().unwrap().len(), 1, "all old ones are gone");
+        assert!(outside.iter().chain([&below.join("x")]).all(|path| path.is_file()));
+        assert!(!folder.path().join(FOLDER).join(&kept.file).exists(), "its own table goes");
+    }
+
+    #[test]
+    fn reviews_are_read_again_only_where_the_index_has_changed() {
+        let folder = tempfile::tempdir().unwrap();
+        let reviews = Reviews::below(folder.path());
+        assert!(reviews.read().unwrap().all().is_empty());
+        let keep = |name: &str, why: &str| reviews.keep(review(name, Some(why)), &samples(), 0.0).unwrap();
+        let (first, second) = (keep("A", "one"), keep("B", "two"));
+        let list = reviews.read().unwrap();
+        assert_eq!(list.all(), [first, second.clone()]);
+        assert!(Arc::ptr_eq(&list, &reviews.read().unwrap()) && Arc::ptr_eq(&list, &reviews.known()));
+        let third = keep("A", "three");
+        let list = reviews.read().unwrap();
+        assert_eq!(
+            (list.newest_of("A"), list.newest_of("B"), list.newest_of("C")),
+            (Some(&third), Some(&second), None)
+        );
     }
 
     #[test]

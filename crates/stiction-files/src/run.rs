@@ -91,6 +91,29 @@ impl RunMetadata {
     }
 }
 
+/// Where a recording stands among those of its run, by its name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FilePlace {
+    /// Its run.
+    pub run_id: String,
+    /// Which of the files side by side.
+    pub shard: usize,
+    /// Its place among the shard's files.
+    pub index: u32,
+}
+
+impl FilePlace {
+    /// Of a recording with a name as the recorder gives it, finished or not.
+    #[must_use]
+    pub fn of(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_str()?;
+        let mut parts = name.strip_suffix(".part").unwrap_or(name).strip_suffix(".mcap")?.rsplitn(4, '-');
+        let (index, shard, run_id) = (parts.next()?, parts.next()?, parts.next()?);
+        let (shard, index) = (shard.strip_prefix('s')?.parse().ok()?, index.parse().ok()?);
+        Some(Self { run_id: run_id.to_owned(), shard, index })
+    }
+}
+
 /// The configuration that a file was recorded under; the defaults for any other.
 ///
 /// # Errors

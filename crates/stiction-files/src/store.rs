@@ -4,6 +4,7 @@
 //! never used.
 
 use std::collections::BTreeMap;
+use std::fs::{Metadata, metadata};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
@@ -89,6 +90,8 @@ pub enum StoreError {
 pub struct StateStore {
     database: Database,
     path: PathBuf,
+    /// The file that was opened.
+    file: Option<Metadata>,
 }
 
 /// Contents of a store.
@@ -119,7 +122,14 @@ impl StateStore {
             builder.set_cache_size(CACHE_BYTES).set_check_integrity_on_open(true);
             disk.open_store(&builder, path)
         })?;
-        Ok(Self { database: opened, path: path.to_owned() })
+        Ok(Self { database: opened, path: path.to_owned(), file: metadata(path).ok() })
+    }
+
+    /// Whether the folder still has this store under its name: what is written to one that was moved away goes nowhere.
+    #[must_use]
+    pub fn is_linked(&self) -> bool {
+        let there = metadata(&self.path).ok();
+        self.file.as_ref().zip(there.as_ref()).is_some_and(|(own, there)| super::same_file(own, there))
     }
 
     /// All its contents.
@@ -241,6 +251,11 @@ mod tests {
         assert_eq!(stored.values["a"], b"three");
         assert_eq!((stored.values["b"].as_slice(), stored.values.len()), (b"two".as_slice(), 2));
         assert!(StateStore::open(&path).is_err(), "one process at a time");
+        assert!(store.is_linked());
+        fs::rename(&path, dir.path().join("moved.redb")).unwrap();
+        assert!(!store.is_linked());
+        fs::copy(&copy, &path).unwrap();
+        assert!(!store.is_linked(), "another one has its name");
     }
 
     #[test]

@@ -18,11 +18,31 @@ pub fn write_loops(
     [origin, source]: [&str; 2],
     loops: &[LoadedLoop],
 ) -> Result<usize, WriteError> {
-    let metadata = BTreeMap::from(
-        [("origin", origin), (METADATA_PREFIX, prefix), ("source", source), ("version", stiction_core::VERSION)]
-            .map(|(key, value)| (key.to_owned(), value.to_owned())),
-    );
-    let mut file = RecordingFile::create_at(part.to_owned(), target.to_owned(), &metadata)?;
+    let metadata = metadata_of(prefix, [origin, source]);
+    fill(RecordingFile::create_at(part.to_owned(), target.to_owned(), &metadata)?, prefix, loops)
+}
+
+/// The bytes of such a recording.
+///
+/// # Errors
+/// [`WriteError`] of the recording.
+pub fn loops_as_recording(
+    prefix: &str,
+    [origin, source]: [&str; 2],
+    loops: &[LoadedLoop],
+) -> Result<Vec<u8>, WriteError> {
+    let (file, memory) = RecordingFile::create_in_memory(&metadata_of(prefix, [origin, source]))?;
+    fill(file, prefix, loops)?;
+    Ok(memory.take())
+}
+
+fn metadata_of(prefix: &str, [origin, source]: [&str; 2]) -> BTreeMap<String, String> {
+    let pairs =
+        [("origin", origin), (METADATA_PREFIX, prefix), ("source", source), ("version", stiction_core::VERSION)];
+    BTreeMap::from(pairs.map(|(key, value)| (key.to_owned(), value.to_owned())))
+}
+
+fn fill(mut file: RecordingFile, prefix: &str, loops: &[LoadedLoop]) -> Result<usize, WriteError> {
     let mut samples = 0;
     for one in loops {
         let name = if is_loop_name(&one.name) { one.name.clone() } else { loop_name_from(&one.name) };
@@ -33,4 +53,20 @@ pub fn write_loops(
     }
     file.finish()?;
     Ok(samples)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use stiction_core::record::{Sample, Signal, Value};
+
+    #[test]
+    fn a_recording_in_memory_is_the_one_that_a_file_would_be() {
+        let sample = |k: i64| Sample { signal: Signal::Pv, t_ns: k, value: Value::Number(k as f64), quality: None };
+        let loops = [LoadedLoop::new("FIC101", (1..2000).map(sample).collect())];
+        let dir = tempfile::tempdir().unwrap();
+        let [part, target] = ["a.part", "a.mcap"].map(|name| dir.path().join(name));
+        assert_eq!(write_loops([&part, &target], "p", ["page", "x"], &loops).unwrap(), 1999);
+        assert_eq!(loops_as_recording("p", ["page", "x"], &loops).unwrap(), std::fs::read(&target).unwrap());
+    }
 }

@@ -11,6 +11,7 @@ mod share;
 mod signals;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::ops::Bound;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
@@ -178,10 +179,8 @@ pub struct Newest {
 pub struct Changes {
     /// Where to go on from.
     pub version: u64,
-    /// Whether the reader was away for too long: the rows are all rows.
+    /// Whether the reader was away for too long, and needs all rows.
     pub full: bool,
-    /// Rows, by name.
-    pub rows: Vec<Row>,
     /// Loops that have left.
     pub gone: Vec<String>,
     /// Alarms, oldest first.
@@ -320,18 +319,24 @@ impl Overview {
         }
     }
 
-    /// What changed after a version; everything after version 0.
+    /// Rows that changed after a version, by name: at most so many, those after a name. All rows changed after version 0.
     #[must_use]
-    pub fn changes_after(&self, version: u64, now_ns: i64) -> Changes {
+    pub fn rows_after(&self, version: u64, name: Option<&str>, most: usize, now_ns: i64) -> Vec<Row> {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
-        let full = version < loops.gone_after;
-        let rows = loops.by_name.iter().filter(|(_, e)| e.changed > version || version == 0 || full);
+        let range = (name.map_or(Bound::Unbounded, Bound::Excluded), Bound::Unbounded);
+        let rows = loops.by_name.range::<str, _>(range).filter(|(_, e)| e.changed > version || version == 0);
+        rows.take(most).map(|(name, entry)| entry.row(name, now_ns)).collect()
+    }
+
+    /// What changed after a version beside the rows.
+    #[must_use]
+    pub fn changes_after(&self, version: u64) -> Changes {
+        let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
         let gone = loops.gone.iter().filter(|(v, name)| *v > version && !loops.by_name.contains_key(name));
         let alarms = loops.alarms.iter().filter(|(v, _)| *v > version);
         Changes {
             version: loops.version,
-            full,
-            rows: rows.map(|(name, entry)| entry.row(name, now_ns)).collect(),
+            full: version < loops.gone_after,
             gone: gone.map(|(_, name)| name.to_string()).collect(),
             alarms: alarms.map(|(_, document)| document.clone()).collect(),
             compared: loops.groups.changed > version,

@@ -28,7 +28,6 @@ use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use prometheus_client::registry::Registry;
-use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 
 use api::Live;
@@ -121,7 +120,9 @@ pub fn serve(view: View, registry: Registry) -> Pin<Box<dyn Future<Output = anyh
 
 async fn start(mut view: View, registry: Registry) -> anyhow::Result<Served> {
     let settings = view.config.get().web.clone();
-    let guard = Arc::new(guard_of(&settings.page)?);
+    let rules = settings.page.clone();
+    // The token's file may lie on a disk that hangs.
+    let guard = Arc::new(tokio::task::spawn_blocking(move || guard_of(&rules)).await??);
     if !settings.enabled {
         return Ok(Served { address: None, stop: Box::new(|| ()) });
     }
@@ -133,13 +134,15 @@ async fn start(mut view: View, registry: Registry) -> anyhow::Result<Served> {
     });
     let shared = Shared { registry: Arc::new(registry), snapshot };
     let router = Router::new().route("/metrics", get(metrics_text)).route("/healthz", get(healthz)).with_state(shared);
+    let unread = server::unread(guard.behind_proxy);
     let router = guarded(router.merge(page.unwrap_or_default()), guard);
+    let router = router.layer(from_fn_with_state(unread, server::count_unread));
     let mut tasks = Vec::new();
     if !settings.page.socket.is_empty() {
         let path = settings.page.socket.clone().into();
         tasks.push(tokio::spawn(serve_socket(path, router.clone(), limits.clone(), faults.clone())));
     }
-    let address = match TcpListener::bind(&settings.listen).await {
+    let address = match server::listen(&settings.listen).await {
         Ok(listener) => {
             let address = listener.local_addr().ok();
             tasks.push(tokio::spawn(server::accept(listener, router, limits)));
@@ -159,7 +162,7 @@ async fn start(mut view: View, registry: Registry) -> anyhow::Result<Served> {
 async fn accept_later(listen: String, router: Router, limits: Arc<Limits>, faults: Arc<Faults>) {
     loop {
         tokio::time::sleep(BIND_AGAIN).await;
-        if let Ok(listener) = TcpListener::bind(&listen).await {
+        if let Ok(listener) = server::listen(&listen).await {
             faults.clear(FAULT);
             return server::accept(listener, router, limits).await;
         }

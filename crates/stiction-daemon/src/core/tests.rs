@@ -29,7 +29,7 @@ impl Core {
             ("feeds", self.feeds.count()),
             ("schedule", self.schedule.count()),
             ("series", self.board.as_ref().map_or(0, super::LoopMetrics::count)),
-            ("page", self.overview.as_ref().map_or(0, |overview| overview.changes_after(0, 0).rows.len())),
+            ("page", self.overview.as_ref().map_or(0, |overview| overview.rows_after(0, None, usize::MAX, 0).len())),
             ("diagnoses", self.asking.len()),
             ("stamps ahead", usize::from(self.ahead.is_some())),
         ]

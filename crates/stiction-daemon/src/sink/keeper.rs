@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use super::mark::Mark;
 use crate::restore::open_store;
-use stiction_files::disk::{Disk, SystemDisk};
+use stiction_files::disk::Disk;
 use stiction_files::store::{STORE_NAME, StateStore, key_of, key_of_data_health, key_of_runs, key_of_verified};
 use stiction_runtime::faults::Faults;
 use stiction_runtime::metrics::Metrics;
@@ -103,10 +103,11 @@ impl Keeper {
         dir: &Path,
         prefix: &str,
         (store, mark): (Option<StateStore>, Mark),
+        disk: Arc<dyn Disk>,
         faults: Arc<Faults>,
         metrics: Arc<Metrics>,
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
-        let (keeper, mut worker) = Self::pair(dir, prefix, (store, mark), Arc::new(SystemDisk), faults, metrics);
+        let (keeper, mut worker) = Self::pair(dir, prefix, (store, mark), disk, faults, metrics);
         let thread = std::thread::Builder::new().name("state".into()).spawn(move || worker.run())?;
         Ok((keeper, thread))
     }
@@ -317,7 +318,7 @@ impl Worker {
 
     fn save(&mut self, states: &States) -> Result<(), String> {
         // A folder that was taken away takes the store along: what is written then goes nowhere.
-        if self.store.is_some() && !self.path.exists() {
+        if self.store.as_ref().is_some_and(|store| !store.is_linked()) {
             self.store = None;
         }
         let store = match self.store.take() {
@@ -352,11 +353,13 @@ impl Worker {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use stiction_files::disk::SystemDisk;
+    use stiction_files::lock::{FolderLock, LockedDisk, SharedLock};
 
     fn keeper(dir: &Path) -> (Keeper, JoinHandle<()>, Arc<Faults>) {
         let faults = Arc::new(Faults::default());
         let (keeper, thread) =
-            Keeper::start(dir, "p", (None, Mark::default()), faults.clone(), Arc::default()).unwrap();
+            Keeper::start(dir, "p", (None, Mark::default()), Arc::new(SystemDisk), faults.clone(), Arc::default()).unwrap();
         (keeper, thread, faults)
     }
 
@@ -432,5 +435,27 @@ mod tests {
         thread.join().unwrap();
         let stored = StateStore::open(&place.join(STORE_NAME)).unwrap().load().unwrap().values;
         assert_eq!(stored["p\nA"], b"2");
+    }
+
+    #[test]
+    fn a_folder_that_was_moved_away_and_is_held_by_another_daemon_keeps_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let place = dir.path().join("rec");
+        std::fs::create_dir(&place).unwrap();
+        let disk = Arc::new(LockedDisk::new(SharedLock::new(Some(FolderLock::take(&place).unwrap()))));
+        let faults = Arc::new(Faults::default());
+        let (keeper, thread) = Keeper::start(&place, "p", None, disk, faults.clone(), Arc::default()).unwrap();
+        asked(&keeper, "1").unwrap();
+        std::fs::rename(&place, dir.path().join("moved")).unwrap();
+        std::fs::create_dir(&place).unwrap();
+        let other = FolderLock::take(&place).unwrap();
+        let theirs = StateStore::open(&place.join(STORE_NAME)).unwrap();
+        assert!(asked(&keeper, "2").unwrap_err().contains("running daemon"));
+        assert!(theirs.load().unwrap().values.is_empty() && faults.list().len() == 1);
+        drop((theirs, other));
+        asked(&keeper, "3").unwrap();
+        assert!(faults.list().is_empty());
+        drop(keeper);
+        thread.join().unwrap();
     }
 }

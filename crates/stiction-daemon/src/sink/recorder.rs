@@ -19,7 +19,7 @@ use crossbeam_channel::{Receiver, Sender};
 pub use progress::Progress;
 pub use run::{Continued, RecordedConfig, RunInfo};
 use stiction_core::record::{Sample, Signal};
-use stiction_files::disk::{Disk, SystemDisk};
+use stiction_files::disk::Disk;
 use stiction_files::{MAX_CHANNELS, RecordingFile, WriteError};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Recording;
@@ -148,11 +148,11 @@ impl Recorder {
     pub fn start(
         run: RunInfo,
         settings: Recording,
+        disk: Arc<dyn Disk>,
         metrics: Arc<Metrics>,
         faults: Arc<Faults>,
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
-        let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::system());
-        let (recorder, mut writer) = Self::pair(run, settings, place, metrics, faults);
+        let (recorder, mut writer) = Self::pair(run, settings, (disk, Clock::system()), metrics, faults);
         let thread = std::thread::Builder::new().name("record".into()).spawn(move || writer.run_until_closed())?;
         Ok((recorder, thread))
     }

@@ -18,23 +18,48 @@ fn figures(greatest_ns: i64) -> LoopFigures {
     LoopFigures { counts: Default::default(), greatest_ns: Some(greatest_ns), windows: 0, waiting: 0 }
 }
 
+fn rows_after(overview: &Overview, version: u64) -> Vec<Row> {
+    overview.rows_after(version, None, usize::MAX, 5)
+}
+
+#[test]
+fn rows_come_in_parts_by_name_and_what_changes_meanwhile_comes_once_more() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
+    let show = |name: &str| overview.figures(&name.into(), &place, now, &figures(5));
+    ["A", "C", "E"].into_iter().for_each(show);
+    let names = |version, after, most| {
+        let rows = overview.rows_after(version, after, most, 5);
+        rows.into_iter().map(|row| row.name).collect::<Vec<_>>()
+    };
+    let version = overview.changes_after(0).version;
+    assert_eq!(names(0, None, 2), ["A", "C"]);
+    ["B", "D"].into_iter().for_each(show);
+    assert_eq!(names(0, Some("C"), 2), ["D", "E"]);
+    assert!(names(0, Some("E"), 2).is_empty());
+    assert_eq!(
+        (names(version, None, 9), names(version, Some("B"), 9)),
+        (vec!["B".into(), "D".into()], vec!["D".into()])
+    );
+}
+
 #[test]
 fn changes_are_told_once_and_everything_to_who_comes_new() {
     let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let [a, b]: [Arc<str>; 2] = ["A".into(), "B".into()];
     overview.estimate(&a, &place, now, estimate("A", 1, Some(2.0), Verdict::Stiction));
     overview.figures(&b, &place, now, &figures(5));
-    let Changes { version, rows, .. } = overview.changes_after(0, 5);
+    let (version, rows) = (overview.changes_after(0).version, rows_after(&overview, 0));
     assert_eq!(rows.iter().map(|r| (r.name.as_str(), r.ne107)).collect::<Vec<_>>(), [("A", Some("S")), ("B", None)]);
     // Data that flow are no change; an alarm is one.
     overview.figures(&b, &place, now, &figures(6));
-    assert!(overview.changes_after(version, 6).rows.is_empty());
+    assert!(rows_after(&overview, version).is_empty());
     let document = AlarmDocument { active: true, state: State::Unack, ..Alarm::default().restored("A") };
     overview.alarm(&a, &place, now, &document);
-    let Changes { version: later, rows, alarms, .. } = overview.changes_after(version, 6);
+    let rows = rows_after(&overview, version);
+    let Changes { version: later, alarms, .. } = overview.changes_after(version);
     assert_eq!((rows.len(), rows[0].ne107, rows[0].unacknowledged), (1, Some("M"), true));
-    assert_eq!((alarms.len(), overview.changes_after(later, 6).alarms.len()), (1, 0));
-    assert_eq!(overview.changes_after(0, 6).rows.len(), 2);
+    assert_eq!((alarms.len(), overview.changes_after(later).alarms.len()), (1, 0));
+    assert_eq!(rows_after(&overview, 0).len(), 2);
 }
 
 #[test]
@@ -49,7 +74,7 @@ fn who_looks_while_alarms_change_sees_each_change_once() {
     });
     let (mut version, mut seen) = (0, Vec::new());
     while seen.last() != Some(&(ALARMS_KEPT as i64)) {
-        let changes = overview.changes_after(version, 0);
+        let changes = overview.changes_after(version);
         version = changes.version;
         seen.extend(changes.alarms.iter().map(|d| d.changed_ns));
     }
@@ -63,19 +88,24 @@ fn readers_are_given_the_loops_that_have_left_or_all_rows() {
     let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let show = |name: &str| overview.figures(&name.into(), &place, now, &figures(5));
     ["A", "B", "C"].into_iter().for_each(show);
-    let at = overview.changes_after(0, 5).version;
+    let at = overview.changes_after(0).version;
     ["A", "B", "D"].into_iter().for_each(|name| overview.forget(name));
     show("B");
-    let Changes { version, full, rows, gone, .. } = overview.changes_after(at, 5);
+    let rows = rows_after(&overview, at);
+    let Changes { version, full, gone, .. } = overview.changes_after(at);
     assert_eq!((full, rows.len(), rows[0].name.as_str()), (false, 1, "B"));
     assert_eq!(gone, ["A"]);
-    assert!(overview.changes_after(version, 5).gone.is_empty());
+    assert!(overview.changes_after(version).gone.is_empty());
     for k in 0..=GONE_KEPT {
         show(&format!("L{k}"));
         overview.forget(&format!("L{k}"));
     }
-    let away = overview.changes_after(at, 5);
-    assert_eq!((away.full, away.rows.len()), (true, 2), "the names of all that left are no longer at hand");
+    let away = overview.changes_after(at);
+    assert_eq!(
+        (away.full, rows_after(&overview, 0).len()),
+        (true, 2),
+        "the names of all that left are no longer at hand"
+    );
 }
 
 #[test]
@@ -166,16 +196,18 @@ fn a_follower_says_what_drives_it_until_it_is_in_no_group() {
     for name in ["A", "B", "C"] {
         overview.figures(&name.into(), &place, now, &figures(5));
     }
-    let Changes { version, compared, .. } = overview.changes_after(0, 5);
+    let Changes { version, compared, .. } = overview.changes_after(0);
     assert!(!compared);
     overview.show_groups(now, vec![group(1, &["A", "B"])]);
-    let Changes { version, rows, compared, .. } = overview.changes_after(version, 5);
+    let rows = rows_after(&overview, version);
+    let Changes { version, compared, .. } = overview.changes_after(version);
     let driven: Vec<_> = rows.iter().map(|r| (r.name.as_str(), r.driven.as_deref())).collect();
     assert_eq!((compared, driven), (true, vec![("B", Some("driven by A, p 0.90"))]));
     overview.show_groups(now, Vec::new());
-    let Changes { version, rows, .. } = overview.changes_after(version, 5);
+    let rows = rows_after(&overview, version);
+    let version = overview.changes_after(version).version;
     assert_eq!((rows.len(), rows[0].driven.as_deref()), (1, None));
-    assert!(!overview.changes_after(version, 5).compared);
+    assert!(!overview.changes_after(version).compared);
 }
 
 #[test]

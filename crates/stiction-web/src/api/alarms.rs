@@ -1,15 +1,18 @@
 //! Alarms: the list, and what people do to them.
 
-use axum::Json;
 use axum::extract::State;
+use axum::response::Response;
 use axum::routing::{get, post};
+use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::time::Duration;
 
-use super::reviews::{DatedReview, last_of_loops};
+use super::listed::{PART, listed};
+use super::reviews::{DatedReview, newest_known};
 use super::{Answered, ENGINE_WITHIN, Operation, ResponseKind, Shared, of};
 use crate::extract::{JsonBody, PathName};
+use crate::server::IdleTimer;
 use stiction_core::units::ns_from_s;
 use stiction_monitor::alarm::{AlarmDocument, Command, State as AlarmState};
 use stiction_runtime::clock::now_ns;
@@ -93,14 +96,20 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
     ]
 }
 
-async fn alarms(State(live): State<Shared>) -> Json<Alarms> {
+async fn alarms(State(live): State<Shared>, Extension(idle): Extension<IdleTimer>) -> Response {
     let since_ns = now_ns().saturating_sub(ns_from_s(SHOWN_S));
-    let shown = |d: &AlarmDocument| d.state != AlarmState::Normal || d.changed_ns >= since_ns;
-    let mut reviews = last_of_loops(&live);
-    let alarms = live.overview.alarms().into_iter().filter(|d| shown(d));
-    let alarms: Vec<Listed> =
-        alarms.map(|d| Listed { review: reviews.remove(&d.loop_name), alarm: (*d).clone() }).collect();
-    Json(Alarms { alarms })
+    let shown = move |d: &AlarmDocument| d.state != AlarmState::Normal || d.changed_ns >= since_ns;
+    let reviews = newest_known(&live).await;
+    let mut alarms = live.overview.alarms().into_iter().filter(move |d| shown(d));
+    let parts = std::iter::from_fn(move || {
+        let listed = |d: std::sync::Arc<AlarmDocument>| {
+            let review = reviews.newest_of(&d.loop_name).cloned().map(DatedReview::from);
+            Listed { alarm: (*d).clone(), review }
+        };
+        let part: Vec<Listed> = alarms.by_ref().take(PART).map(listed).collect();
+        (!part.is_empty()).then_some(part)
+    });
+    listed(&Alarms { alarms: Vec::new() }, idle, parts)
 }
 
 async fn command(
@@ -108,6 +117,7 @@ async fn command(
     PathName(loop_name): PathName,
     JsonBody(Commanded { cmd, by, why, for_s }): JsonBody<Commanded>,
 ) -> Answered<Value> {
+    live.check_shard(&loop_name)?;
     let command = Command { cmd, by: Some(by), why, for_s };
     live.wish(ENGINE_WITHIN, |answer| Control::Command { loop_name, command, answer }).await.map(Json)
 }
@@ -117,5 +127,6 @@ async fn diagnose(
     PathName(loop_name): PathName,
     JsonBody(Asking { by, pool }): JsonBody<Asking>,
 ) -> Answered<Value> {
+    live.check_shard(&loop_name)?;
     live.wish(DIAGNOSIS_WITHIN, |answer| Control::GapRun { loop_name, by: Some(by), pool, answer }).await.map(Json)
 }

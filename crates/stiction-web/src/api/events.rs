@@ -3,6 +3,7 @@
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Extension;
@@ -24,6 +25,7 @@ use crate::extract::QueryParams;
 use crate::guard::Permission;
 use crate::server::{IdleTimer, Peer};
 use stiction_core::units::ms_from_ns;
+use stiction_monitor::alarm::AlarmDocument;
 use stiction_monitor::codec::topic::Kind;
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::overview::Changes;
@@ -75,7 +77,23 @@ struct Watch {
     version: u64,
     full: bool,
     watched: Option<Watched>,
-    ready: VecDeque<Event>,
+    ready: VecDeque<Ready>,
+}
+
+/// What is to be sent; made into text only when it is taken, so that little waits for who does not read.
+enum Ready {
+    Event(Event),
+    Rows(Rows),
+    Alarm(Arc<AlarmDocument>),
+}
+
+/// Rows that changed after a version, those after a name.
+#[derive(Default)]
+struct Rows {
+    version: u64,
+    after: Option<String>,
+    full: bool,
+    gone: Vec<String>,
 }
 
 async fn events(
@@ -111,7 +129,7 @@ fn event(name: &str, data: &impl Serialize) -> Event {
 impl Watch {
     async fn next(&mut self) -> Event {
         loop {
-            if let Some(event) = self.ready.pop_front() {
+            if let Some(event) = self.take() {
                 // Only what is taken is a sign of life: whoever reads no longer is let go.
                 self.idle.touch();
                 return event;
@@ -121,33 +139,54 @@ impl Watch {
         }
     }
 
-    async fn look(&mut self) {
+    fn take(&mut self) -> Option<Event> {
+        loop {
+            match self.ready.pop_front()? {
+                Ready::Event(event) => return Some(event),
+                Ready::Alarm(document) => return Some(event("alarm", document.as_ref())),
+                Ready::Rows(rows) => {
+                    if let Some(event) = self.rows(rows) {
+                        return Some(event);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The next rows; those that remain come before everything else.
+    fn rows(&mut self, Rows { version, after, full, gone }: Rows) -> Option<Event> {
         let now = now_ns();
+        let rows = self.live.overview.rows_after(version, after.as_deref(), ROWS_AT_ONCE, now);
+        if let Some(last) = rows.last().filter(|_| rows.len() == ROWS_AT_ONCE) {
+            self.ready.push_front(Ready::Rows(Rows { version, after: Some(last.name.clone()), ..Rows::default() }));
+        }
+        let shown = full || !rows.is_empty() || !gone.is_empty();
+        shown.then(|| event("loops", &json!({"now_ms": ms_from_ns(now), "full": full, "loops": rows, "gone": gone})))
+    }
+
+    fn push(&mut self, name: &str, data: &impl Serialize) {
+        self.ready.push_back(Ready::Event(event(name, data)));
+    }
+
+    async fn look(&mut self) {
         if self.count.is_multiple_of(SITE_EVERY) {
-            self.ready.push_back(event("site", &site_of(&self.live, self.token)));
+            self.push("site", &site_of(&self.live, self.token));
         }
         self.count = self.count.wrapping_add(1);
-        let Changes { version, full, rows, mut gone, mut alarms, compared } =
-            self.live.overview.changes_after(self.version, now);
+        let Changes { version, full, mut gone, mut alarms, compared } = self.live.overview.changes_after(self.version);
         self.full |= full;
+        let after = if full { 0 } else { self.version };
         if self.full {
             // Who comes new has the alarms from the list, and no row of a loop that has left.
             alarms.clear();
             gone.clear();
         }
-        let mut parts: Vec<_> = rows.chunks(ROWS_AT_ONCE).collect();
-        if parts.is_empty() && (self.full || !gone.is_empty()) {
-            parts.push(&[]);
-        }
-        for part in parts {
-            let (full, gone) = (std::mem::take(&mut self.full), std::mem::take(&mut gone));
-            let rows = json!({"now_ms": ms_from_ns(now), "full": full, "loops": part, "gone": gone});
-            self.ready.push_back(event("loops", &rows));
-        }
-        self.ready.extend(alarms.iter().map(|document| event("alarm", document.as_ref())));
+        let full = std::mem::take(&mut self.full);
+        self.ready.push_back(Ready::Rows(Rows { version: after, after: None, full, gone }));
+        self.ready.extend(alarms.into_iter().map(Ready::Alarm));
         if compared {
             // Only that there is something new: a page that shows groups asks for them.
-            self.ready.push_back(event("groups", &json!({"now_ms": ms_from_ns(now)})));
+            self.push("groups", &json!({"now_ms": ms_from_ns(now_ns())}));
         }
         self.version = version;
         self.look_at_loop().await;
@@ -159,21 +198,21 @@ impl Watch {
             let end_ns = estimate.assessment.window.end_ns;
             if end_ns > *window_ns {
                 *window_ns = end_ns;
-                self.ready.push_back(event("estimate", estimate.as_ref()));
+                self.ready.push_back(Ready::Event(event("estimate", estimate.as_ref())));
             }
         }
         let diagnosed = self.live.last_bytes(name, Kind::Gap);
         if diagnosed != *gap {
             *gap = diagnosed;
             // Only that there is another one: it is asked for with the words that go with it.
-            self.ready.push_back(event("gap", &json!({"loop": name})));
+            self.ready.push_back(Ready::Event(event("gap", &json!({"loop": name}))));
         }
         // A loop that has not appeared yet is no reason to end.
         let Ok(looked) = self.live.look(name, None).await else { return };
         let Some(record) = looked.record else { return };
         if let Some((curves, newest_ns)) = curves_after(&record, *sent_ns) {
             *sent_ns = newest_ns;
-            self.ready.push_back(event("samples", &curves));
+            self.ready.push_back(Ready::Event(event("samples", &curves)));
         }
     }
 }

@@ -1,14 +1,17 @@
 //! Loops: all of them in rows, and one with its newest documents and what they say in words.
 
-use axum::Json;
 use axum::extract::State;
+use axum::response::Response;
 use axum::routing::get;
+use axum::{Extension, Json};
 use serde::Serialize;
 use serde_json::Value;
 
+use super::listed::{PART, listed};
 use super::{Answered, Operation, ResponseKind, Shared, of};
 use crate::error::ApiError;
 use crate::extract::PathName;
+use crate::server::IdleTimer;
 use stiction_core::gap::document::GapDocument;
 use stiction_core::gap::text;
 use stiction_core::units::ms_from_ns;
@@ -115,9 +118,15 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
     ]
 }
 
-async fn all(State(live): State<Shared>) -> Json<Loops> {
-    let now = now_ns();
-    Json(Loops { now_ms: ms_from_ns(now), loops: live.overview.changes_after(0, now).rows })
+async fn all(State(live): State<Shared>, Extension(idle): Extension<IdleTimer>) -> Response {
+    let empty = Loops { now_ms: ms_from_ns(now_ns()), loops: Vec::new() };
+    let mut after: Option<String> = None;
+    let parts = std::iter::from_fn(move || {
+        let rows = live.overview.rows_after(0, after.as_deref(), PART, now_ns());
+        after = Some(rows.last()?.name.clone());
+        Some(rows)
+    });
+    listed(&empty, idle, parts)
 }
 
 async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<Detail> {

@@ -9,6 +9,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use serde::{Deserialize, Serialize};
 
+use super::reviews::current;
 use super::worth::{COMPARED, look};
 use super::{Operation, Parameter, ResponseKind, Shared, of};
 use crate::error::ApiError;
@@ -110,7 +111,7 @@ async fn maintenance(
 ) -> Result<Response, ApiError> {
     let as_table = wants_table(&wanted, &headers)?;
     let failed = |why: String| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why);
-    let reviews = newest_reviews(live.reviews.all().map_err(failed)?);
+    let reviews = newest_reviews(current(&live).await?.all().to_vec());
     let (work, outcomes, pending) = look(&live, &reviews);
     let now = now_ns();
     let reviewed = reviews.into_iter().zip(outcomes).map(|(review, compared)| {

@@ -4,6 +4,7 @@ mod alarms;
 mod curves;
 mod events;
 mod groups;
+mod listed;
 mod loops;
 mod maintenance;
 mod obstacles;
@@ -46,11 +47,17 @@ use stiction_runtime::view::{CurrentConfig, View};
 const MAX_BODY: usize = 16 << 10;
 /// How long the engine may take for an answer; a diagnosis takes longer.
 const ENGINE_WITHIN: Duration = Duration::from_secs(10);
-/// Looks at windows and recordings at a time, and drawings, which take seconds: both take a core from the fits.
+/// Threads that read recordings, that read or write the folder of reviews, that compute, and that draw, which takes seconds.
+/// Those that wait for a disk are apart from those that take a core from the fits: a folder may hang.
 const LOOKS_AT_ONCE: usize = 2;
+const REVIEWS_AT_ONCE: usize = 1;
+const COMPUTATIONS_AT_ONCE: usize = 2;
 const DRAWINGS_AT_ONCE: usize = 1;
-/// How many may wait for either.
+/// How many may wait for any of them.
 const SLOW_WAITING: usize = 64;
+/// How long somebody waits for a disk, with those before, and for what takes a core.
+const DISK_WITHIN: Duration = Duration::from_secs(30);
+const CORE_WITHIN: Duration = Duration::from_secs(55);
 /// Windows that the engine is asked for at a time, and requests that may wait for one beside the streams.
 const WINDOWS_AT_ONCE: usize = 2;
 const WINDOWS_WAITING: usize = 8;
@@ -83,8 +90,10 @@ pub struct Live {
     worth: worth::Worth,
     review_rate: Mutex<Rate>,
     started: Instant,
-    looks: Semaphore,
-    drawings: Semaphore,
+    looks: Arc<Semaphore>,
+    at_reviews: Arc<Semaphore>,
+    computations: Arc<Semaphore>,
+    drawings: Arc<Semaphore>,
     waiting: Semaphore,
     windows: Semaphore,
     windows_waiting: Semaphore,
@@ -113,7 +122,8 @@ impl Live {
         let recordings = Path::new(&fixed.recording.dir);
         let archive = Arc::new(Archive::new(recordings, &fixed.site.prefix));
         let reviews = Reviews::below(recordings);
-        let [looks, drawings, waiting] = [LOOKS_AT_ONCE, DRAWINGS_AT_ONCE, SLOW_WAITING].map(Semaphore::new);
+        let threads = [LOOKS_AT_ONCE, REVIEWS_AT_ONCE, COMPUTATIONS_AT_ONCE, DRAWINGS_AT_ONCE];
+        let [looks, at_reviews, computations, drawings] = threads.map(|number| Arc::new(Semaphore::new(number)));
         let streams = Limits::new(STREAMS, if guard.behind_proxy { STREAMS } else { STREAMS_PER_HOST });
         let started_ns = now_ns();
         let review_rate = Mutex::new(Rate::new(reviews::PER_MINUTE / 60.0, reviews::AT_ONCE));
@@ -132,8 +142,10 @@ impl Live {
             started_ns,
             note,
             looks,
+            at_reviews,
+            computations,
             drawings,
-            waiting,
+            waiting: Semaphore::new(SLOW_WAITING),
             windows: Semaphore::new(WINDOWS_AT_ONCE),
             windows_waiting: Semaphore::new(WINDOWS_WAITING),
             streams,
@@ -163,26 +175,51 @@ impl Live {
         Some(last.get(&key)?.document.clone())
     }
 
-    /// Looks back on a thread of its own.
-    async fn on_a_thread<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
-        self.in_turn(&self.looks, work).await
+    /// Reads recordings on a thread of its own.
+    async fn look_back<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
+        self.in_turn(&self.looks, DISK_WITHIN, work).await
+    }
+
+    /// Computes on a thread of its own.
+    async fn compute<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
+        self.in_turn(&self.computations, CORE_WITHIN, work).await
     }
 
     /// Draws on a thread of its own.
     async fn draw<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
-        self.in_turn(&self.drawings, work).await
+        self.in_turn(&self.drawings, CORE_WITHIN, work).await
     }
 
+    /// Works on one of these threads once it is free. Who has waited for too long, or no longer waits, leaves the thread to
+    /// its work: its place is free only when that has ended.
     async fn in_turn<T: Send + 'static>(
         &self,
-        places: &Semaphore,
+        threads: &Arc<Semaphore>,
+        patience: Duration,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, ApiError> {
         let busy = || ApiError::busy("too many wait for pictures and recordings already: try again in a moment");
-        let _waiting = self.waiting.try_acquire().map_err(|_| busy())?;
-        let _place = places.acquire().await.map_err(|_| busy())?;
         let failed = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "the request failed; see the daemon's log");
-        tokio::task::spawn_blocking(work).await.map_err(failed)
+        let _waiting = self.waiting.try_acquire().map_err(|_| busy())?;
+        let turn = async {
+            let place = threads.clone().acquire_owned().await.map_err(|_| busy())?;
+            let placed = move || {
+                let _place = place;
+                work()
+            };
+            tokio::task::spawn_blocking(placed).await.map_err(failed)
+        };
+        let late = |_| ApiError::busy("the disk or the machine did not answer in time: try again later");
+        tokio::time::timeout(patience, turn).await.map_err(late)?
+    }
+
+    /// Refuses what another daemon has to be asked for.
+    fn check_shard(&self, loop_name: &str) -> Result<(), ApiError> {
+        if self.config.get().shard.owns(loop_name) {
+            return Ok(());
+        }
+        let why = "is of another [shard], whose daemon has to be asked; this one does not watch it";
+        Err(ApiError::not_found(format!("{loop_name:?} {why}")))
     }
 
     /// A loop's window for a request: refused where too many wait for one.
@@ -203,7 +240,7 @@ impl Live {
         let window: Option<WindowSnapshot> = within(ENGINE_WITHIN, told).await?;
         let unknown = || ApiError::not_found(format!("no loop {loop_name:?} has appeared"));
         let WindowSnapshot { snapshot, settings } = window.ok_or_else(unknown)?;
-        self.on_a_thread(move || {
+        self.compute(move || {
             let record = snapshot.and_then(|snapshot| snapshot.record(&settings.window));
             Looked { record, settings }
         })
@@ -229,7 +266,8 @@ impl Live {
 
 async fn within<T>(patience: Duration, told: oneshot::Receiver<T>) -> Result<T, ApiError> {
     let late = || ApiError::new(StatusCode::GATEWAY_TIMEOUT, "the engine did not answer in time: try again");
-    tokio::time::timeout(patience, told).await.map_err(|_| late())?.map_err(|_| late())
+    let ended = |_| ApiError::busy("the daemon ended before it answered");
+    tokio::time::timeout(patience, told).await.map_err(|_| late())?.map_err(ended)
 }
 
 /// Every operation of a running daemon.

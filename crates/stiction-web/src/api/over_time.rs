@@ -94,7 +94,7 @@ async fn together(
 ) -> Answered<OverTime> {
     let range_ns = range.ns(&live, &name)?;
     let all = live.clone();
-    live.on_a_thread(move || {
+    live.look_back(move || {
         let (windows, reach) = windows(&all, &name, range_ns);
         let results: Vec<WindowResult> = windows.into_iter().map(|window| window.result).collect();
         let found = over_time(&results);

@@ -1,5 +1,8 @@
 //! What people found at valves, kept beside the recordings.
 
+use std::sync::Arc;
+use std::time::Duration;
+
 use axum::Json;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
@@ -8,15 +11,17 @@ use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
 use super::curves::recorded;
-use super::{Answered, Operation, ResponseKind, Shared, of};
+use super::{Answered, DISK_WITHIN, Operation, ResponseKind, Shared, of};
 use crate::error::ApiError;
 use crate::extract::{JsonBody, PathName};
 use stiction_core::record::Signal;
 use stiction_core::units::{Moment, ms_from_ns};
-use stiction_files::reviews::{KeepError, Label, Method, Review};
+use stiction_files::reviews::{KeepError, Label, Method, Review, ReviewList};
 use stiction_monitor::alarm::check_name;
 use stiction_runtime::clock::now_ns;
 
+/// How long a list of alarms waits for reviews.
+const SOON: Duration = Duration::from_secs(1);
 /// Longest explanation, bytes.
 const MAX_WHY: usize = 500;
 /// Reviews that are taken a minute, and at once.
@@ -119,11 +124,20 @@ impl From<Review> for DatedReview {
     }
 }
 
-/// The last review of each loop.
-pub(super) fn last_of_loops(live: &Shared) -> std::collections::HashMap<String, DatedReview> {
-    // A damaged index is told where reviews are asked for.
-    let all = live.reviews.all().unwrap_or_default();
-    all.into_iter().map(|review| (review.r#loop.clone(), review.into())).collect()
+/// The reviews as their folder has them now.
+pub(super) async fn current(live: &Shared) -> Result<Arc<ReviewList>, ApiError> {
+    let of = live.clone();
+    let read = live.in_turn(&live.at_reviews, DISK_WITHIN, move || of.reviews.read()).await?;
+    read.map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))
+}
+
+/// The same, or as they were read last where the folder does not answer soon, for what must not wait for it. A damaged
+/// index is told where reviews are asked for.
+pub(super) async fn newest_known(live: &Shared) -> Arc<ReviewList> {
+    match tokio::time::timeout(SOON, current(live)).await {
+        Ok(Ok(list)) => list,
+        Ok(Err(_)) | Err(_) => live.reviews.known(),
+    }
 }
 
 async fn keep(
@@ -165,13 +179,11 @@ async fn keep(
         work_at: *work_at,
     };
     let range = [a.window.start_ns, a.window.end_ns];
-    let (of_live, keep_days) = (live.clone(), live.config.get().retention.results_days);
-    let kept = live
-        .on_a_thread(move || {
-            let samples = recorded(&of_live.archive, &name, &Signal::ALL, range);
-            of_live.reviews.keep(review, &samples, keep_days)
-        })
-        .await?;
+    let (of, keep_days) = (live.archive.clone(), live.config.get().retention.results_days);
+    let samples = live.look_back(move || recorded(&of, &name, &Signal::ALL, range)).await?;
+    let of = live.clone();
+    let keep = move || of.reviews.keep(review, &samples, keep_days);
+    let kept = live.in_turn(&live.at_reviews, DISK_WITHIN, keep).await?;
     let status = |error: &KeepError| match error {
         KeepError::Full(_) => StatusCode::INSUFFICIENT_STORAGE,
         KeepError::System(_) => StatusCode::INTERNAL_SERVER_ERROR,
@@ -181,13 +193,14 @@ async fn keep(
 }
 
 async fn all(State(live): State<Shared>) -> Answered<All> {
-    let reviews = live.reviews.all().map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))?;
-    Ok(Json(All { reviews: reviews.into_iter().map(DatedReview::from).collect() }))
+    let reviews = current(&live).await?;
+    Ok(Json(All { reviews: reviews.all().iter().cloned().map(DatedReview::from).collect() }))
 }
 
 async fn index(State(live): State<Shared>) -> Result<Response, ApiError> {
     let name = "attachment; filename=\"reviews.csv\"";
-    let table = live.reviews.table().map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))?;
+    let failed = |error: std::io::Error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string());
+    let table = current(&live).await?.table().map_err(failed)?;
     let headers = [(header::CONTENT_TYPE, "text/csv; charset=utf-8"), (header::CONTENT_DISPOSITION, name)];
     Ok((headers, table).into_response())
 }

@@ -20,7 +20,7 @@ use stiction_core::units::{file_stem_of, ms_from_ns, ns_from_s};
 use stiction_core::verdict::EstimateDocument;
 use stiction_files::LoadedLoop;
 use stiction_files::csv;
-use stiction_files::transfer::write_loops;
+use stiction_files::transfer::loops_as_recording;
 use stiction_monitor::engine::LoopSettings;
 use stiction_report::detail::Detail;
 use stiction_report::diagram::Tags;
@@ -161,7 +161,7 @@ async fn window(State(live): State<Shared>, PathName(name): PathName) -> Answere
     let record = looked.record.unwrap_or_else(|| Record::uniform(1.0, Vec::new(), Vec::new()));
     let estimate = live.overview.newest(&name).and_then(|newest| newest.estimate);
     let settings = looked.settings;
-    live.on_a_thread(move || Json(window_of(&record, estimate.as_deref(), &settings))).await
+    live.compute(move || Json(window_of(&record, estimate.as_deref(), &settings))).await
 }
 
 fn window_of(record: &Record, estimate: Option<&EstimateDocument>, settings: &LoopSettings) -> Window {
@@ -262,7 +262,7 @@ async fn buys(State(live): State<Shared>, PathName(name): PathName) -> Answered<
 pub(super) async fn simulated(live: &Shared, name: &str) -> Result<Result<Repair, NoRepair>, ApiError> {
     let Estimated { document, record, settings } = live.estimated(name).await?;
     let params = RepairParams { op_range: settings.assess.op_range, ..RepairParams::default() };
-    live.on_a_thread(move || repair(&record, &document.assessment, &params)).await
+    live.compute(move || repair(&record, &document.assessment, &params)).await
 }
 
 async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
@@ -288,8 +288,7 @@ async fn samples(live: &Shared, name: &str) -> Result<LoadedLoop, ApiError> {
     let none = || ApiError::not_found(format!("{name}: no window has been answered yet"));
     let window = newest.ok_or_else(none)?.assessment.window;
     let (archive, of) = (live.archive.clone(), name.to_owned());
-    let read =
-        live.on_a_thread(move || recorded(&archive, &of, &Signal::ALL, [window.start_ns, window.end_ns])).await?;
+    let read = live.look_back(move || recorded(&archive, &of, &Signal::ALL, [window.start_ns, window.end_ns])).await?;
     if read.samples.is_empty() {
         return Err(ApiError::not_found(format!(
             "{name}: the samples of its newest estimate are not in the recordings"
@@ -307,23 +306,19 @@ fn file(name: &str, extension: &str, kind: &'static str, content: Vec<u8>) -> Re
 
 async fn window_csv(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
     let one = samples(&live, &name).await?;
-    let mut out = Vec::new();
-    csv::write(&one.samples, &mut out).map_err(|e| ApiError::busy(e.to_string()))?;
-    Ok(file(&name, "csv", "text/csv; charset=utf-8", out))
+    let write = move || {
+        let mut out = Vec::new();
+        csv::write(&one.samples, &mut out).map(|_| out)
+    };
+    let written = live.compute(write).await?.map_err(|e| ApiError::busy(e.to_string()))?;
+    Ok(file(&name, "csv", "text/csv; charset=utf-8", written))
 }
 
 async fn window_mcap(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
     let one = samples(&live, &name).await?;
     let archive = live.archive.clone();
-    let written = live.on_a_thread(move || recording_of(archive.prefix(), one)).await?;
-    let bytes = written.map_err(|e| ApiError::busy(format!("the recording cannot be written: {e:#}")))?;
+    let write = move || loops_as_recording(archive.prefix(), ["page", "recordings"], &[one]);
+    let written = live.compute(write).await?;
+    let bytes = written.map_err(|e| ApiError::busy(format!("the recording cannot be written: {e}")))?;
     Ok(file(&name, "mcap", "application/octet-stream", bytes))
-}
-
-/// A loop as a recording, which is written as a file before it is sent.
-fn recording_of(prefix: &str, one: LoadedLoop) -> anyhow::Result<Vec<u8>> {
-    let folder = tempfile::tempdir()?;
-    let [part, target] = ["window.mcap.part", "window.mcap"].map(|name| folder.path().join(name));
-    write_loops([&part, &target], prefix, ["page", "recordings"], &[one])?;
-    Ok(std::fs::read(&target)?)
 }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::*;
 use stiction_core::record::Value;
-use stiction_files::disk::DiskFile;
+use stiction_files::disk::{DiskFile, SystemDisk};
 use stiction_monitor::config::Config;
 
 fn run() -> RunInfo {
@@ -29,7 +29,8 @@ fn every_file_is_whole_at_the_end() {
     let mut engine = stiction_monitor::engine::Engine::new(config.engine());
     let ids: Vec<LoopId> = (0..2001).map(|k| engine.appear(&format!("L{k}")).unwrap()).collect();
     let metrics = Arc::<Metrics>::default();
-    let (mut recorder, thread) = Recorder::start(run(), config.recording, metrics.clone(), Arc::default()).unwrap();
+    let (mut recorder, thread) =
+        Recorder::start(run(), config.recording, Arc::new(SystemDisk), metrics.clone(), Arc::default()).unwrap();
     (0..3).for_each(|shard| recorder.record(Item::Open { shard, states: Vec::new() }));
     for id in &ids {
         let sample = Sample { signal: Signal::Op, t_ns: 0, value: Value::number(1.0), quality: None };
@@ -52,7 +53,8 @@ fn each_alarm_is_repeated_as_a_log_message_on_one_topic() {
     config.recording.dir = dir.path().to_str().unwrap().to_owned();
     let mut engine = stiction_monitor::engine::Engine::new(config.engine());
     let metrics = Arc::<Metrics>::default();
-    let (mut recorder, thread) = Recorder::start(run(), config.recording, metrics.clone(), Arc::default()).unwrap();
+    let (mut recorder, thread) =
+        Recorder::start(run(), config.recording, Arc::new(SystemDisk), metrics.clone(), Arc::default()).unwrap();
     recorder.record(Item::Open { shard: 0, states: Vec::new() });
     for name in ["A", "B"] {
         let id = engine.appear(name).unwrap();
