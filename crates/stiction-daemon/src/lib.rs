@@ -42,7 +42,6 @@ mod worker;
 
 use std::collections::BTreeMap;
 use std::future::{Future, pending};
-use std::mem;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;

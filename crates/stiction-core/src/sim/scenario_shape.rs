@@ -38,7 +38,7 @@ fn take_out(table: &mut DeTable<'_>, at: usize) -> Option<String> {
     }
     let here = |key: &Spanned<_>, value: &Spanned<DeValue<'_>>| key.span().contains(&at) || value.span().contains(&at);
     let name = table.iter().find(|(key, value)| here(key, value)).map(|(key, _)| key.get_ref().to_string())?;
-    table.retain(|key, _| key != name);
+    table.remove(name.as_str());
     Some(name)
 }
 
