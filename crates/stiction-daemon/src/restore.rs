@@ -127,8 +127,7 @@ impl OwnRuns {
     }
 
     /// What the store remembers of them from now on, as JSON.
-    #[must_use]
-    pub fn and(&self, run_id: &str) -> Option<Vec<u8>> {
+    fn and(&self, run_id: &str) -> Option<Vec<u8>> {
         let skipped = (self.ids.len() + 1).saturating_sub(RUNS_KEPT);
         let ids: Vec<&str> = self.ids.iter().map(String::as_str).chain([run_id]).skip(skipped).collect();
         to_json(&ids)
@@ -226,6 +225,14 @@ impl Restored {
             Some(before.config.loops.into_iter().map(|l| l.name).collect())
         };
         self.newest.as_ref().and_then(named).unwrap_or_default()
+    }
+
+    /// Notes a run in the store before it records anything.
+    pub fn note_run(&mut self, prefix: &str, run_id: &str) {
+        let Some(runs) = self.runs.and(run_id) else { return };
+        let Some(store) = self.store.take() else { return };
+        // After an error the keeper opens it anew.
+        self.store = store.save([(key_of_runs(prefix).as_str(), runs.as_slice())]).is_ok().then_some(store);
     }
 
     /// Puts everything into the store before the run begins, but for what it holds already.

@@ -99,19 +99,18 @@ impl SimDaemon {
         let prefix = config.site.prefix.clone();
         let mut restored = restore::restore(disk.as_ref(), &dir, &prefix, &faults, &metrics);
         let memories = restored.take_memories(&config);
-        let Restored { store, runs, run_number, verified, data_health, .. } = restored;
+        let run = run_of(&config, config_text, clock, restored.run_number);
+        restored.note_run(&prefix, &run.run_id);
+        let Restored { store, runs, verified, data_health, .. } = restored;
         restore::tell_aside(&dir, &faults);
         let Refilled { engine, continued, last } = refill(&dir, &config, &runs, clock.now_ns(), &faults);
-        let run = RunInfo { continued, ..run_of(&config, config_text, clock, run_number) };
+        let run = RunInfo { continued, ..run };
         let run_id = run.run_id.clone();
         let place = (disk.clone(), clock.clone());
         let (recorder, writer) = Recorder::pair(run, config.recording.clone(), place, metrics.clone(), faults.clone());
         let mark = Mark::default();
         let stored = (store, mark.clone());
         let (keeper, keeping) = Keeper::pair(&dir, &prefix, stored, disk.clone(), faults.clone(), metrics.clone());
-        if let Some(runs) = runs.and(&run_id) {
-            keeper.notes().runs(&prefix, runs);
-        }
         let (publisher, publications) = Publisher::pair(metrics.clone());
         let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
         let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);

@@ -181,11 +181,12 @@ pub(super) fn threads(
     config: &Config,
     shared: &Shared,
     run: RunInfo,
-    (restored, lock): (Restored, SharedLock),
+    (mut restored, lock): (Restored, SharedLock),
     session: &zenoh::Session,
 ) -> anyhow::Result<(Vec<NamedThread>, Sinks)> {
     let Shared { current, recordings, metrics, faults, overview, last, .. } = shared;
     let (run_id, daemon_id, is_kept) = (run.run_id.clone(), run.daemon.clone(), goes_on(run.origin));
+    restored.note_run(&config.site.prefix, &run_id);
     let told = (metrics.clone(), faults.clone());
     let disk = Arc::new(LockedDisk::new(lock.clone())) as Arc<dyn Disk>;
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), told)?;
@@ -197,9 +198,6 @@ pub(super) fn threads(
     if is_kept {
         let stored = (restored.store, mark.clone());
         let (started, keeping) = Keeper::start(recordings, prefix, stored, disk, faults.clone(), metrics.clone())?;
-        if let Some(runs) = restored.runs.and(&run_id) {
-            started.notes().runs(prefix, runs);
-        }
         keeper = Some(started);
         threads.push(("state", keeping));
     }

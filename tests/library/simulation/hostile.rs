@@ -19,10 +19,10 @@ use stiction_monitor::engine::SkipReason;
 use stiction_runtime::clock::Clock;
 
 use super::plant::{below, one_in};
-use super::refill::replays_to_the_byte;
+use super::refill::{replays_to_the_byte, runs_replay_to_the_byte};
 
 const LOOPS: u32 = 7;
-const STEPS: usize = 120;
+const STEPS: usize = 80;
 const S: i64 = 1_000_000_000;
 
 /// A loop as its gateway sends it.
@@ -233,7 +233,7 @@ impl Site {
 fn every_recording_of_hostile_input_replays_to_the_byte() {
     let seeds: Vec<u64> = match (super::number("STICTIOND_SEED"), super::number("STICTIOND_SEEDS")) {
         (Some(seed), _) => vec![seed],
-        (None, n) => (1..=n.unwrap_or(4)).collect(),
+        (None, n) => (1..=n.unwrap_or(3)).collect(),
     };
     for seed in seeds {
         let _named = super::Named(seed);
@@ -242,7 +242,9 @@ fn every_recording_of_hostile_input_replays_to_the_byte() {
         (0..STEPS).for_each(|_| site.step());
         site.stage().finish();
         site.stage = None;
-        let compared = replays_to_the_byte(dir.path());
+        // One in eight file by file, too.
+        let all = if seed % 8 == 3 { replays_to_the_byte } else { runs_replay_to_the_byte };
+        let compared = all(dir.path());
         println!("seed {seed}: {compared} documents equal");
         assert!(compared > 50, "seed {seed}: {compared}");
     }

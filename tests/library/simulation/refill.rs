@@ -114,6 +114,21 @@ pub fn chains_replay_to_the_byte(dir: &Path) -> usize {
     compared
 }
 
+/// Every run as the command replays a folder: after as much of the earlier files as its windows need.
+pub fn runs_replay_to_the_byte(dir: &Path) -> usize {
+    let mut compared = 0;
+    for chain in chains_of(dir).unwrap() {
+        let before = files_before(&chain).unwrap();
+        let mut replay = Rerun::new(&metadata(&chain[0]).config, Some("stage"), false);
+        for (at, file) in before.iter().chain(&chain).enumerate() {
+            let report = replay.file(file, "p", at == 0, at >= before.len()).unwrap();
+            assert_eq!(report.difference, None, "{}", file.display());
+            compared += report.compared;
+        }
+    }
+    compared
+}
+
 /// Every file by itself, and every chain of files, as the command does.
 pub fn replays_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use super::mark::Mark;
 use crate::restore::open_store;
 use stiction_files::disk::Disk;
-use stiction_files::store::{STORE_NAME, StateStore, key_of, key_of_data_health, key_of_runs, key_of_verified};
+use stiction_files::store::{STORE_NAME, StateStore, key_of, key_of_data_health, key_of_verified};
 use stiction_runtime::faults::Faults;
 use stiction_runtime::metrics::Metrics;
 
@@ -195,7 +195,7 @@ impl Shared {
     }
 }
 
-/// Notes in the same store: of recordings that were found whole, of runs, and of data health.
+/// Notes in the same store: of recordings that were found whole, and of data health.
 pub struct Notes(Arc<Shared>);
 
 impl Notes {
@@ -207,11 +207,6 @@ impl Notes {
     /// What data health remembers under a prefix.
     pub fn data_health(&self, prefix: &str, json: Vec<u8>) {
         self.0.put(key_of_data_health(prefix), Some(json), None);
-    }
-
-    /// The runs that were begun under a prefix.
-    pub fn runs(&self, prefix: &str, json: Vec<u8>) {
-        self.0.put(key_of_runs(prefix), Some(json), None);
     }
 
     /// A recording is gone.
