@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::{Format, Outcome, block_on, say};
 use stiction_core::units::probability;
-use stiction_daemon::replay::{Output, chains_of, files_needed};
+use stiction_daemon::replay::{Output, chains_of, files_before};
 use stiction_daemon::rerun::{FileReport, Rerun};
 use stiction_daemon::source::zenoh as bus;
 use stiction_files::RecordingReader;
@@ -89,7 +89,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(if totals.cut { Outcome::DataLoss } else { Outcome::Done })
 }
 
-/// Replays the files of one run. A single file first replays as much of the earlier files as its windows need.
+/// Replays the files of one run, and before them as much of the earlier files as their windows need.
 fn replay_chain(
     args: &Args,
     format: Format,
@@ -99,7 +99,7 @@ fn replay_chain(
 ) -> anyhow::Result<Option<Outcome>> {
     let Some(first) = chain.first() else { return Ok(None) };
     let own = metadata_of(first)?;
-    let before: Vec<PathBuf> = files_needed(first, &own)?.into_iter().filter(|f| f != first).collect();
+    let before = files_before(chain)?;
     let mut replay = Rerun::new(&own.config, own.daemon.as_deref(), !own.has_results);
     let mut fresh = true;
     for path in before.iter().chain(chain) {

@@ -178,3 +178,51 @@ fn a_loop_leaves_only_when_nothing_waits_and_frees_its_place() {
     let a = engine.appear("A").unwrap();
     assert_eq!((engine.settings(a).place.criticality, engine.count()), (Some(5), 2));
 }
+
+/// Ends of the windows that come due while these samples are taken in this order, each answered at once.
+fn ends_of(samples: &[Sample], config: &Config) -> Vec<i64> {
+    let mut engine = Engine::new(config.engine());
+    let id = engine.appear("FIC101").unwrap();
+    let (mut events, mut ends) = (Vec::new(), Vec::new());
+    for sample in samples {
+        engine.push(id, *sample, &mut events);
+        for event in std::mem::take(&mut events) {
+            if let Event::Request(request) = event {
+                ends.push(request.end_ns);
+                engine.skip(id, request.seq, &mut Vec::new());
+            }
+        }
+    }
+    ends
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
+
+    /// A gateway's set point comes later than it may, its stamps between the others': no window is made twice.
+    #[test]
+    fn no_window_comes_due_twice_whatever_comes_late(
+        every_s in 2_i64..12,
+        offset_s in 0_i64..12,
+        late_s in 0_i64..40,
+        hole in proptest::option::of((10_i64..60, 5_i64..90)),
+    ) {
+        const S: i64 = 1_000_000_000;
+        let of = |signal, t_s: i64| Sample { signal, t_ns: t_s * S, value: Value::Number((t_s % 7) as f64), quality: None };
+        let mut sent: Vec<(i64, Sample)> = Vec::new();
+        for k in 0..150 {
+            let t_s = 1_000_000 + every_s * k + offset_s;
+            if hole.is_some_and(|(from, scans)| (from..from + scans).contains(&k)) {
+                continue;
+            }
+            sent.extend([(t_s, of(Signal::Op, t_s)), (t_s, of(Signal::Pv, t_s))]);
+            sent.extend((0..every_s).map(|s| (t_s + s + late_s, of(Signal::Sp, t_s + s))));
+        }
+        sent.sort_by_key(|(at_s, _)| *at_s);
+        let samples: Vec<Sample> = sent.into_iter().map(|(_, sample)| sample).collect();
+        let mut config = config(128);
+        config.window.hop_s = 60.0;
+        let ends = ends_of(&samples, &config);
+        prop_assert!(ends.len() > 2 && ends.is_sorted_by(|a, b| a < b), "{:?}", ends);
+    }
+}

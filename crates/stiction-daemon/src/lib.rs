@@ -42,7 +42,6 @@ mod worker;
 
 use std::collections::BTreeMap;
 use std::future::Future;
-use std::mem;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
@@ -63,6 +62,8 @@ use self::plant::Comparer;
 use self::refill::Refilled;
 pub use self::reload::ConfigFile;
 use self::reload::{Reload, ReloadParts};
+use self::rerun::LastSeen;
+use self::restore::Memories;
 use self::start::{Opened, Shared, Sinks};
 use crate::sink::recorder::{RecordedConfig, RunInfo};
 use crate::sink::signing::Signer;
@@ -72,7 +73,6 @@ use crate::source::replies::Replies;
 use crate::source::{CONTROL_QUEUE, Message, presence};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::Checkpoint;
 use stiction_runtime::clock::Clock;
 use stiction_runtime::control::Control;
 pub use stiction_runtime::health::DaemonHealth;
@@ -130,12 +130,12 @@ pub async fn run(
         return Ok(());
     };
     let Opened { mut restored, session, deaf, daemon_id, input, subscriptions } = opened;
-    let Some(refilled) = start::refill(&config, &shared, options.origin, &mut stop).await else {
+    let Some(refilled) = start::refill(&config, &shared, (options.origin, &restored.runs), &mut stop).await else {
         (server.stop)();
         return Ok(());
     };
-    let Refilled { engine, continued } = refilled;
-    let memories = mem::take(&mut restored.memories);
+    let Refilled { engine, continued, last } = refilled;
+    let memories = restored.take_memories(&config);
     let run = run_info(&config, config_text, options.origin, &daemon_id, restored.run_number);
     let run = RunInfo { continued, ..run };
     let (mut threads, sinks) = start::threads(&config, &shared, run, (restored, lock), &session, signer.clone())?;
@@ -168,7 +168,7 @@ pub async fn run(
         clock: Clock::system(),
         health_every: options.health_every,
     };
-    let (stop_core, engine_thread) = start_engine(parts, memories, incoming, wishes)?;
+    let (stop_core, engine_thread) = start_engine(parts, (memories, last), incoming, wishes)?;
     threads.insert(0, ("engine", engine_thread));
     let presence = Presence::show(&session, &config, &daemon_id, deaf, &shared).await?;
     presence.tell(&config, &daemon_id, server.address, &shared.recordings);
@@ -200,14 +200,14 @@ pub async fn run(
 /// The engine's thread, which ends when the sender is dropped.
 fn start_engine(
     parts: Parts,
-    memories: BTreeMap<String, Checkpoint>,
+    (memories, last): (Memories, BTreeMap<String, LastSeen>),
     incoming: Receiver<Message>,
     wishes: Receiver<Control>,
 ) -> std::io::Result<(Sender<()>, std::thread::JoinHandle<()>)> {
     let (stop, stopping) = crossbeam_channel::bounded::<()>(0);
     let thread = std::thread::Builder::new().name("engine".into()).spawn(move || {
         let mut core = Core::new(parts);
-        core.restore(memories);
+        core.restore(memories, last);
         core.run(&incoming, &wishes, &stopping);
     })?;
     Ok((stop, thread))

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use anyhow::bail;
 
 use super::replay::{heads, neighbour, reach_ns};
-use super::rerun::Rerun;
-use super::restore::{LOSS_SHOWN, RunFile, is_recording};
+use super::rerun::{LastSeen, Rerun};
+use super::restore::{LOSS_SHOWN, OwnRuns, RunFile, is_recording};
 use crate::sink::recorder::{Continued, LOOPS_PER_FILE};
 use stiction_core::units::ns_from_s;
 use stiction_files::RecordingReader;
@@ -36,23 +36,25 @@ pub struct Refilled {
     pub engine: Engine,
     /// Their shards.
     pub continued: BTreeMap<usize, Continued>,
+    /// What was heard of loops last, whether or not their windows go on.
+    pub last: BTreeMap<String, LastSeen>,
 }
 
 impl Refilled {
     /// A run whose windows are empty.
     #[must_use]
     pub fn empty(config: &Config) -> Self {
-        Self { engine: Engine::new(config.engine()), continued: BTreeMap::new() }
+        Self { engine: Engine::new(config.engine()), continued: BTreeMap::new(), last: BTreeMap::new() }
     }
 }
 
 /// Reads the newest recordings of this folder. Never fails: what cannot be read becomes a fault that names the file, and its
 /// loops begin with empty windows.
 #[must_use]
-pub fn refill(dir: &Path, config: &Config, now_ns: i64, faults: &Faults) -> Refilled {
+pub fn refill(dir: &Path, config: &Config, runs: &OwnRuns, now_ns: i64, faults: &Faults) -> Refilled {
     let (started, settings) = (Instant::now(), config.engine());
-    let mut refilled = Refilled { engine: Engine::new(settings.clone()), continued: BTreeMap::new() };
-    let last = last_files(dir, &config.site.prefix);
+    let mut refilled = Refilled::empty(config);
+    let last = last_files(dir, &config.site.prefix, runs, faults);
     let reading = Reading {
         config,
         settings,
@@ -72,8 +74,8 @@ pub fn refill(dir: &Path, config: &Config, now_ns: i64, faults: &Faults) -> Refi
     refilled
 }
 
-/// The newest file of each shard, those of the newest run first.
-fn last_files(dir: &Path, prefix: &str) -> Vec<RunFile> {
+/// The newest file of each shard, those of the newest run first; of this daemon's own runs.
+fn last_files(dir: &Path, prefix: &str, own: &OwnRuns, faults: &Faults) -> Vec<RunFile> {
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
     let mut runs: BTreeMap<String, BTreeMap<usize, (u32, PathBuf)>> = BTreeMap::new();
     for path in entries.map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
@@ -93,7 +95,15 @@ fn last_files(dir: &Path, prefix: &str) -> Vec<RunFile> {
         let file = |(shard, (index, path))| RunFile { path, shard, index, ..one.clone() };
         Some(files.into_iter().map(file).collect::<Vec<RunFile>>())
     };
-    let mut files: Vec<RunFile> = runs.into_values().filter_map(run_of).flatten().collect();
+    let all = runs.into_values().filter_map(run_of).flatten();
+    let (mut files, strange): (Vec<RunFile>, Vec<RunFile>) = all.partition(|file| own.include(file));
+    let newest = files.iter().map(|file| (file.run_number, file.started_ns)).max();
+    if let Some(first) = strange.iter().find(|file| Some((file.run_number, file.started_ns)) > newest) {
+        let name = first.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let text = format!("{name} is of a run that this daemon has not made: windows do not go on from it");
+        tracing::warn!("{text}");
+        faults.raise_for("refill strange", text, LOSS_SHOWN);
+    }
     files.sort_by_key(|f| (f.shard, std::cmp::Reverse((f.run_number, f.started_ns))));
     files.dedup_by_key(|f| f.shard);
     files.sort_by_key(|f| (std::cmp::Reverse((f.run_number, f.started_ns)), f.shard));
@@ -136,14 +146,26 @@ impl Reading<'_> {
         let before =
             if is_unchanged { None } else { Some(RunMetadata::of(newest, reader.metadata())?.config.engine()) };
         let count = refilled.engine.count();
+        // Newer runs were read before.
+        for (name, seen) in rerun.take_last() {
+            refilled.last.entry(name).or_insert(seen);
+        }
+        let mut placeless = 0_usize;
         for mut lane in rerun.into_engines() {
             for id in lane.ids() {
                 let name = lane.name(id).clone();
-                if self.goes_on(&name, lane.figures(id).greatest_ns, before.as_ref()) {
+                if refilled.engine.find(&name).is_none()
+                    && self.goes_on(&name, lane.figures(id).greatest_ns, before.as_ref())
+                {
                     let from = last.shard * LOOPS_PER_FILE;
-                    refilled.engine.take_loop(&mut lane, &name, from..from + LOOPS_PER_FILE);
+                    let taken = refilled.engine.take_loop(&mut lane, &name, from..from + LOOPS_PER_FILE);
+                    placeless += usize::from(taken.is_none());
                 }
             }
+        }
+        if placeless > 0 {
+            let file = newest.display();
+            tracing::warn!(%file, loops = placeless, "loops find no place: their windows begin empty");
         }
         if refilled.engine.count() > count {
             let name = |path: &Path| {

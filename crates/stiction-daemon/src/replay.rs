@@ -17,11 +17,12 @@ use super::to_json;
 use stiction_core::record::Sample;
 use stiction_files::run::{REFILLED_FROM, RunMetadata};
 use stiction_files::{Item, RecordingReader};
+use stiction_monitor::alarm::AlarmDocument;
 use stiction_monitor::codec::decode_recorded;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{
-    Engine, EngineSettings, Event, GapRequest, LoopId, LoopWindow, RecordedInput, RecordedNeighbour, Request,
+    Checkpoint, Engine, EngineSettings, Event, GapRequest, LoopId, LoopWindow, RecordedInput, RecordedNeighbour, Request,
     SkipReason, StateDocument,
 };
 
@@ -30,7 +31,7 @@ use stiction_monitor::engine::{
 pub struct Output {
     /// The loop's name.
     pub loop_name: String,
-    /// What it is: estimate, alarm or gap.
+    /// What it is: estimate, alarm, gap, or the loop's memory after one of them.
     pub kind: Kind,
     /// Its JSON, to the byte.
     pub json: Vec<u8>,
@@ -52,6 +53,8 @@ pub struct Replay {
     before: Option<Engine>,
     /// Windows are cut and given up, results passed over: only the loops' streams go on.
     streams_alone: bool,
+    /// The newest recorded answer of each loop, where only the streams go on.
+    newest: BTreeMap<String, Vec<u8>>,
     /// Requests that wait for their place, per loop.
     waiting: HashMap<LoopId, VecDeque<Request>>,
     /// Where each loop stands among its windows.
@@ -89,14 +92,24 @@ struct MarkerWindow {
     end_ns: i64,
 }
 
+/// What stands in a recording had its place when it was recorded.
+fn unlimited(settings: EngineSettings) -> EngineSettings {
+    EngineSettings { max_loops: usize::MAX, ..settings }
+}
+
+fn engine_of(settings: EngineSettings) -> Engine {
+    Engine::new(unlimited(settings))
+}
+
 impl Replay {
     /// A replay under an engine's settings. `at_once` is for recordings without results.
     #[must_use]
     pub fn new(settings: EngineSettings, at_once: bool) -> Self {
         Self {
-            engine: Engine::new(settings),
+            engine: engine_of(settings),
             before: None,
             streams_alone: false,
+            newest: BTreeMap::new(),
             waiting: HashMap::new(),
             places: HashMap::new(),
             gaps: HashMap::new(),
@@ -112,14 +125,19 @@ impl Replay {
         self.streams_alone = streams_alone;
     }
 
+    /// The newest recorded answer of each loop, as JSON.
+    pub fn take_newest(&mut self) -> BTreeMap<String, Vec<u8>> {
+        std::mem::take(&mut self.newest)
+    }
+
     /// The replay begins, under these settings.
     pub fn begin(&mut self, settings: EngineSettings) {
-        self.engine = Engine::new(settings);
+        self.engine = engine_of(settings);
     }
 
     /// A file begins another run, under these settings: of the loops so far those go on that its head names.
     pub fn begin_run(&mut self, settings: EngineSettings) {
-        self.before = Some(std::mem::replace(&mut self.engine, Engine::new(settings)));
+        self.before = Some(std::mem::replace(&mut self.engine, engine_of(settings)));
         self.waiting.clear();
         self.places.clear();
         self.gaps.clear();
@@ -127,7 +145,7 @@ impl Replay {
 
     /// A file was recorded after an edit of the configuration, which happens here.
     pub fn edit(&mut self, settings: EngineSettings) {
-        self.engine.reconfigure(settings);
+        self.engine.reconfigure(unlimited(settings));
     }
 
     /// The engine as it is now.
@@ -157,6 +175,9 @@ impl Replay {
         }
         let Some(id) = self.engine.appear(topic.loop_name) else { return Ok(()) };
         match topic.leaf {
+            Leaf::Document(Kind::Estimate) if self.streams_alone => {
+                self.newest.insert(topic.loop_name.to_owned(), data.to_vec());
+            }
             Leaf::Document(kind) if self.streams_alone && kind != Kind::Input => {}
             Leaf::Document(Kind::Estimate) if !self.at_once => {
                 let marker: Marker = serde_json::from_slice(data).context("a recorded estimate names no window")?;
@@ -191,7 +212,7 @@ impl Replay {
             }
             RecordedInput::Command(command) => {
                 if let Ok(document) = self.engine.command(id, &command) {
-                    out.extend(self.output(id, Kind::Alarm, &document));
+                    self.put_alarm(id, &document, out);
                 }
             }
             RecordedInput::GapRun { by, .. } => {
@@ -224,7 +245,7 @@ impl Replay {
             }
             RecordedInput::Removed => {
                 if let Some(document) = self.engine.end_alarm(id) {
-                    out.extend(self.output(id, Kind::Alarm, &document));
+                    self.put_alarm(id, &document, out);
                 }
             }
             RecordedInput::GapCut { number, evaluations } => {
@@ -268,7 +289,7 @@ impl Replay {
     /// A payload that is no state.
     pub fn take_head(&mut self, data: &[u8], everything: bool) -> anyhow::Result<()> {
         let state: StateDocument = serde_json::from_slice(data).context("a recorded state cannot be read")?;
-        if let Some(before) = &mut self.before {
+        if let Some(before) = self.before.as_mut().filter(|_| everything) {
             self.engine.take_loop(before, &state.loop_name, 0..usize::MAX);
         }
         let Some(id) = self.engine.appear(&state.loop_name) else { return Ok(()) };
@@ -324,10 +345,18 @@ impl Replay {
                     Event::Window(id, window) => {
                         self.for_plant.push(PlantEvent::Window(self.engine.name(id).clone(), window));
                     }
-                    Event::State(..) => {}
+                    Event::State(id, document) => out.extend(self.output(id, Kind::State, &document)),
                 }
             }
         }
+    }
+
+    /// A change outside the windows, and the loop's memory after it.
+    fn put_alarm(&self, id: LoopId, document: &AlarmDocument, out: &mut Vec<Output>) {
+        let memory = Checkpoint { stream: None, ..self.engine.checkpoint(id) };
+        let state = StateDocument::new(self.engine.name(id), Some(document.changed_ns), memory);
+        out.extend(self.output(id, Kind::Alarm, document));
+        out.extend(self.output(id, Kind::State, &state));
     }
 
     fn output(&self, id: LoopId, kind: Kind, document: &impl serde::Serialize) -> Option<Output> {
@@ -406,20 +435,39 @@ fn loops_with_windows(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<Stri
     Ok(loops)
 }
 
-/// The files that must be read before `path` so that its windows are complete, oldest first, `path` last.
-///
-/// # Errors
-/// Names the file that is gone.
-pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<PathBuf>> {
-    let mut own = heads(path, &metadata.prefix)?;
-    let alive = loops_with_windows(path, &metadata.prefix)?;
+/// The loops whose windows go on into a chain of files, and the greatest source time up to which what came before is needed.
+fn loops_that_go_on(chain: &[PathBuf], prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
+    let Some(first) = chain.first() else { return Ok(BTreeMap::new()) };
+    let mut alive: BTreeMap<String, Option<i64>> = BTreeMap::new();
+    // A loop that is silent in the first file may send in a later one what it had kept back.
+    for file in chain {
+        for (name, earliest) in loops_with_windows(file, prefix)? {
+            let of = alive.entry(name).or_default();
+            *of = of.iter().copied().chain(earliest).min();
+        }
+    }
+    let mut own = heads(first, prefix)?;
     own.retain(|name, _| alive.contains_key(name));
     // A diagnosis may be of a window long before the file in which it was done.
     for (name, greatest) in &mut own {
         *greatest = greatest.map(|g| alive.get(name).copied().flatten().map_or(g, |end_ns| g.min(end_ns)));
     }
+    Ok(own)
+}
+
+/// The files that must be read before a chain of files so that its windows are complete, oldest first.
+///
+/// # Errors
+/// Names the file that is gone.
+pub fn files_before(chain: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let Some(path) = chain.first() else { return Ok(Vec::new()) };
+    let metadata = RunMetadata::of(path, RecordingReader::open(path)?.metadata())?;
+    if metadata.previous.is_empty() {
+        return Ok(Vec::new());
+    }
+    let own = loops_that_go_on(chain, &metadata.prefix)?;
     let reach_ns = reach_ns(&metadata.config);
-    let mut files = vec![path.to_owned()];
+    let mut files = Vec::new();
     let (mut previous, mut refilled_from) = (metadata.previous.clone(), metadata.refilled_from.clone());
     while !previous.is_empty() {
         let Some(file) = neighbour(path, &previous) else {

@@ -9,14 +9,16 @@ use std::time::Instant;
 
 use anyhow::{Context, anyhow, bail};
 
+use super::received;
 use super::replay::{Output, PlantEvent, Replay};
 use super::replay_plant::ReplayPlant;
 use stiction_core::record::Sample;
 use stiction_files::run::{ORIGINS, RunMetadata};
-use stiction_files::{End, Item, RecordingReader};
+use stiction_core::verdict::EstimateDocument;
+use stiction_files::{Channel, End, Item, RecordingReader};
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, EngineSettings, Origins, StateDocument};
+use stiction_monitor::engine::{Engine, EngineSettings, Origins};
 use stiction_monitor::shard::stable_hash;
 use stiction_runtime::cores::share;
 
@@ -31,11 +33,20 @@ const BLOCK_BYTES: usize = 64 << 20;
 pub struct Rerun {
     lanes: Vec<Mutex<Replay>>,
     settings: EngineSettings,
-    /// Says which loops there is a place for, as one engine would.
-    places: Engine,
+    /// When a sample of each loop arrived last, ns.
+    heard_ns: BTreeMap<String, i64>,
     /// When whoever waits for it waits no longer.
     until: Option<Instant>,
     plant: ReplayPlant,
+}
+
+/// What was heard of a loop last.
+#[derive(Debug, Default)]
+pub struct LastSeen {
+    /// Its newest recorded answer.
+    pub estimate: Option<Box<EstimateDocument>>,
+    /// When a sample of it arrived last, ns.
+    pub heard_ns: Option<i64>,
 }
 
 /// How one file's replay went.
@@ -101,9 +112,9 @@ impl Rerun {
     pub fn new(config: &Config, daemon: Option<&str>, at_once: bool) -> Self {
         let settings = EngineSettings { daemon: daemon.map(Into::into), ..config.engine() };
         let lane = |_| Mutex::new(Replay::new(settings.clone(), at_once));
-        let (lanes, places) = ((0..LANES).map(lane).collect(), Engine::new(settings.clone()));
+        let lanes = (0..LANES).map(lane).collect();
         let plant = ReplayPlant::new(settings.daemon.as_deref());
-        Self { lanes, settings, places, until: None, plant }
+        Self { lanes, settings, heard_ns: BTreeMap::new(), until: None, plant }
     }
 
     /// Only the loops' streams, until this moment: after it [`Rerun::file`] fails.
@@ -112,6 +123,21 @@ impl Rerun {
         let mut rerun = Self { until: Some(until), ..Self::new(config, None, false) };
         rerun.each(|replay| replay.set_streams_alone(true));
         rerun
+    }
+
+    /// What was heard of each loop last, where only streams are replayed.
+    pub fn take_last(&mut self) -> BTreeMap<String, LastSeen> {
+        let mut last: BTreeMap<String, LastSeen> = BTreeMap::new();
+        for (name, heard_ns) in std::mem::take(&mut self.heard_ns) {
+            last.entry(name).or_default().heard_ns = Some(heard_ns);
+        }
+        self.each(|replay| {
+            for (name, json) in replay.take_newest() {
+                let read = serde_json::from_slice(&json).ok().and_then(|document| received::estimate(&document));
+                last.entry(name).or_default().estimate = read.map(Box::new);
+            }
+        });
+        last
     }
 
     /// The engines as they are now.
@@ -137,12 +163,12 @@ impl Rerun {
         let begins_run = reader.metadata().get("file_index").is_some_and(|index| index == "0");
         self.follow(reader.metadata(), path, first, begins_run)?;
         let (everything, until) = (first || begins_run, self.until);
-        let Self { lanes, places, plant, .. } = self;
+        let Self { lanes, plant, heard_ns, .. } = self;
         let lanes = &lanes[..];
         let mut comparing = Comparing { verify, plant, made: HashMap::new(), report: FileReport::default() };
         std::thread::scope(|scope| {
             let (send, blocks) = crossbeam_channel::bounded(1);
-            let reading = scope.spawn(move || read(&mut reader, prefix, places, &send).map(|()| reader));
+            let reading = scope.spawn(move || read(&mut reader, prefix, heard_ns, &send).map(|()| reader));
             let mut topics: Vec<String> = Vec::new();
             for mut block in &blocks {
                 topics.append(&mut block.topics);
@@ -180,13 +206,10 @@ impl Rerun {
         if begins_run && !first {
             self.each(|replay| replay.begin_run(settings.clone()));
             self.plant = ReplayPlant::new(settings.daemon.as_deref());
-            self.places = Engine::new(settings);
         } else if first && !is_same {
             self.each(|replay| replay.begin(settings.clone()));
-            self.places = Engine::new(settings);
         } else if !is_same {
             self.each(|replay| replay.edit(settings.clone()));
-            self.places.reconfigure(settings);
         }
         Ok(())
     }
@@ -196,12 +219,14 @@ impl Rerun {
 fn read(
     reader: &mut RecordingReader,
     prefix: &str,
-    places: &mut Engine,
+    heard_ns: &mut BTreeMap<String, i64>,
     send: &crossbeam_channel::Sender<Block>,
 ) -> anyhow::Result<()> {
-    // Where a channel's messages go; nowhere if they are none of ours, or of a loop beyond `max_loops`.
+    // Where a channel's messages go; nowhere if they are none of ours.
     let mut routes: HashMap<u16, Option<(Option<usize>, usize)>> = HashMap::new();
     let (mut block, mut topics) = (Block::default(), 0);
+    // By channel, of raw signals alone.
+    let mut heard: HashMap<u16, (String, i64)> = HashMap::new();
     while let Some(item) = reader.next_item()? {
         let (id, channel) = item.channel();
         let route = *routes.entry(id).or_insert_with(|| {
@@ -211,7 +236,6 @@ fn read(
                 topics += 1;
                 return Some((None, topics - 1));
             }
-            places.appear(topic.loop_name)?;
             // By its name: where a run follows another, the loop is in the same lane.
             let lane = Some(stable_hash(topic.loop_name) as usize % LANES);
             block.topics.push(channel.topic.clone());
@@ -220,8 +244,14 @@ fn read(
         });
         let Some((lane, topic)) = route else { continue };
         let held = match item {
-            Item::Sample(raw) => Held::Sample(raw.sample),
+            Item::Sample(raw) => {
+                note(&mut heard, prefix, (id, channel), raw.log_time_ns);
+                Held::Sample(raw.sample)
+            }
             Item::Message(message) => {
+                if channel.kind.is_some_and(Kind::is_raw) {
+                    note(&mut heard, prefix, (id, channel), message.log_time_ns);
+                }
                 let from = block.bytes.len();
                 block.bytes.extend_from_slice(message.data);
                 Held::Bytes(from..block.bytes.len())
@@ -234,7 +264,17 @@ fn read(
         }
     }
     let _ = send.send(block);
+    for (name, at_ns) in heard.into_values() {
+        let newest = heard_ns.entry(name).or_insert(at_ns);
+        *newest = at_ns.max(*newest);
+    }
     Ok(())
+}
+
+/// Notes that a sample of a channel's loop arrived.
+fn note(heard: &mut HashMap<u16, (String, i64)>, prefix: &str, (id, channel): (u16, &Channel), at_ns: i64) {
+    let name = || Topic::parse(Some(prefix), &channel.topic).map_or("", |topic| topic.loop_name).to_owned();
+    heard.entry(id).or_insert_with(|| (name(), at_ns)).1 = at_ns;
 }
 
 /// Works through a block, the lanes side by side.
@@ -302,8 +342,16 @@ fn take(
     if topic.leaf != Leaf::Document(Kind::State) {
         return replay.take(topic, data, out);
     }
-    let head = serde_json::from_slice::<StateDocument>(data).is_ok_and(|s| s.window_end_ns.is_none());
-    if head { replay.take_head(data, everything) } else { Ok(()) }
+    if is_head(data) { replay.take_head(data, everything) } else { Ok(()) }
+}
+
+/// Whether a recorded state is one that a file, or a loop in it, begins with.
+fn is_head(state: &[u8]) -> bool {
+    #[derive(serde::Deserialize)]
+    struct After {
+        window_end_ns: Option<i64>,
+    }
+    serde_json::from_slice::<After>(state).is_ok_and(|after| after.window_end_ns.is_none())
 }
 
 impl Comparing<'_> {
@@ -356,7 +404,9 @@ impl Comparing<'_> {
             let of = (output.loop_name.clone(), output.kind);
             self.made.entry(of).or_default().push_back(output.json.clone());
         }
-        self.report.outputs.push(output);
+        if output.kind != Kind::State {
+            self.report.outputs.push(output);
+        }
     }
 
     /// Takes a message of many loops: where windows were compared, they are compared again.
@@ -370,15 +420,18 @@ impl Comparing<'_> {
 
     fn compare(&mut self, topic: Option<Topic<'_>>, recorded: &[u8]) {
         let Some(topic) = topic else { return };
-        let Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm | Kind::Gap | Kind::Group)) = topic.leaf else {
-            return;
+        let kind = match topic.leaf {
+            Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm | Kind::Gap | Kind::Group)) => kind,
+            // What a file or a loop begins with was not made there.
+            Leaf::Document(Kind::State) if !is_head(recorded) => Kind::State,
+            _ => return,
         };
         if kind == Kind::Group && !self.plant.is_made() {
             self.report.unchecked += 1;
             return;
         }
         let again = self.made.get_mut(&(topic.loop_name.to_owned(), kind)).and_then(VecDeque::pop_front);
-        self.report.compared += 1;
+        self.report.compared += usize::from(kind != Kind::State);
         self.report.difference = difference(&topic, recorded, again.as_deref());
     }
 

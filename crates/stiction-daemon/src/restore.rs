@@ -4,18 +4,22 @@
 //! before it had written all of them hides nothing of the run before. What cannot be read is put aside under another
 //! name, counted and named as a fault; the daemon starts whatever it finds.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fs;
+use std::mem;
 use std::path::{Path, PathBuf};
 
 use super::to_json;
 use stiction_files::disk::Disk;
 use stiction_files::store::{
-    STORE_NAME, StateStore, StoreError, Stored, key_of, key_of_data_health, loop_of, verified_of,
+    STORE_NAME, StateStore, StoreError, Stored, key_of, key_of_data_health, key_of_runs, loop_of, verified_of,
 };
+use stiction_files::run::RunMetadata;
 use stiction_files::{FileError, InputKind, Item, ReadError, RecordingReader};
+use stiction_monitor::alarm::State;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
-use stiction_monitor::engine::{Checkpoint, StateDocument};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Checkpoint, RecordedInput, StateDocument};
 use stiction_runtime::faults::Faults;
 use stiction_runtime::metrics::Metrics;
 use stiction_runtime::overview::KeptHealth;
@@ -26,6 +30,8 @@ const FILES_PER_SHARD: usize = 2;
 const RUNS: usize = 20;
 /// Files that are read to learn which run was the last, where the store holds all else.
 const NEWEST: usize = 8;
+/// Runs that the store remembers: more than any loop's newest recordings are from.
+const RUNS_KEPT: usize = 1000;
 /// What the name of a file that was put aside ends in.
 pub const ASIDE: &str = ".broken";
 
@@ -74,6 +80,12 @@ pub fn is_recording(path: &Path) -> bool {
 pub struct Restored {
     /// Memory by loop: alarms and gap watches, never the stream of points.
     pub memories: BTreeMap<String, Checkpoint>,
+    /// Those of them that had left the plant.
+    pub left: BTreeSet<String>,
+    /// The newest recording.
+    newest: Option<PathBuf>,
+    /// Runs that this store has begun.
+    pub runs: OwnRuns,
     /// The store, if it could be opened.
     pub store: Option<StateStore>,
     /// Which run of this folder begins now, from 1.
@@ -82,6 +94,42 @@ pub struct Restored {
     pub verified: BTreeMap<String, String>,
     /// What data health remembered.
     pub data_health: KeptHealth,
+}
+
+/// What is remembered of loops, by what becomes of them.
+#[derive(Debug, Default)]
+pub struct Memories {
+    /// Of loops that go on.
+    pub there: BTreeMap<String, Checkpoint>,
+    /// Of loops that had left the plant with an alarm that is not at rest: they wait for their return.
+    pub left: BTreeMap<String, Checkpoint>,
+    /// Of loops that the configuration names no longer: their alarms end.
+    pub removed: BTreeMap<String, Checkpoint>,
+}
+
+/// Which runs of a folder are this daemon's own. The recordings of another may have been copied there.
+#[derive(Debug, Clone, Default)]
+pub struct OwnRuns {
+    /// Their ids, oldest first.
+    ids: Vec<String>,
+    /// How many the store has counted; 0 where there is no store that did.
+    counted: u64,
+}
+
+impl OwnRuns {
+    /// Whether a run is its own: one that its store has begun. Without a store every run may be.
+    #[must_use]
+    pub fn include(&self, file: &RunFile) -> bool {
+        let is_counted = self.ids.is_empty() && file.run_number <= self.counted;
+        self.counted == 0 || is_counted || self.ids.contains(&file.run_id)
+    }
+
+    /// What the store remembers of them from now on, as JSON.
+    fn and(&self, run_id: &str) -> Option<Vec<u8>> {
+        let skipped = (self.ids.len() + 1).saturating_sub(RUNS_KEPT);
+        let ids: Vec<&str> = self.ids.iter().map(String::as_str).chain([run_id]).skip(skipped).collect();
+        to_json(&ids)
+    }
 }
 
 /// What earlier runs under this prefix remembered. Never fails: what cannot be read becomes a fault. All of it is in
@@ -95,12 +143,13 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
             (None, Stored::default())
         }
     };
-    let mut memories = BTreeMap::new();
+    let (mut memories, mut left) = (BTreeMap::new(), BTreeSet::new());
     let mut lost = stored.damaged;
     for (key, json) in &stored.values {
         let Some(name) = loop_of(prefix, key) else { continue };
         match serde_json::from_slice::<StateDocument>(json) {
             Ok(state) => {
+                left.extend(state.left.then(|| name.to_owned()));
                 memories.insert(name.to_owned(), Checkpoint { stream: None, ..state.checkpoint });
             }
             Err(_) => lost += 1,
@@ -110,10 +159,18 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
     // A store that was begun anew under a run holds what has changed since; one that a start has sealed holds all.
     let is_sealed = stored.values.contains_key(prefix);
     let is_whole = from_store > 0 && is_sealed && lost == 0;
-    let files = recordings_in(dir, prefix, is_whole, metrics);
+    let number = |json: &Vec<u8>| std::str::from_utf8(json).ok()?.parse::<u64>().ok();
+    let counted = stored.values.get(prefix).and_then(number).unwrap_or(0);
+    let ids = stored.values.get(&key_of_runs(prefix)).and_then(|json| serde_json::from_slice(json).ok());
+    let runs = OwnRuns { ids: ids.unwrap_or_default(), counted };
+    let mut files = recordings_in(dir, prefix, is_whole, metrics);
+    files.retain(|file| runs.include(file));
     if !is_whole {
-        for (name, memory) in memories_in_recordings(&files, prefix) {
-            memories.entry(name).or_insert(memory);
+        for (name, (memory, has_left)) in memories_in_recordings(&files, prefix) {
+            if !memories.contains_key(&name) {
+                left.extend(has_left.then(|| name.clone()));
+                memories.insert(name, memory);
+            }
         }
     }
     if lost > 0 {
@@ -122,8 +179,6 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
             format!("{lost} stored alarm states were damaged: taken from the recordings as far as these hold them");
         faults.raise_for("store damaged", text, LOSS_SHOWN);
     }
-    let number = |json: &Vec<u8>| std::str::from_utf8(json).ok()?.parse::<u64>().ok();
-    let counted = stored.values.get(prefix).and_then(number).unwrap_or(0);
     let seen = files.iter().map(|f| f.run_number).max().unwrap_or(0);
     let run_number = counted.max(seen) + 1;
     tracing::info!(loops = memories.len(), from_store, run_number, "states carried over");
@@ -131,7 +186,8 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
     let verified = stored.values.iter().filter_map(|(key, json)| Some((verified_of(key)?.to_owned(), text(json))));
     let kept = stored.values.get(&key_of_data_health(prefix));
     let data_health = kept.and_then(|json| serde_json::from_slice(json).ok()).unwrap_or_default();
-    let mut restored = Restored { memories, store, run_number, verified: verified.collect(), data_health };
+    let (verified, newest) = (verified.collect(), files.pop().map(|file| file.path));
+    let mut restored = Restored { memories, left, newest, runs, store, run_number, verified, data_health };
     restored.seal(prefix, is_whole, faults);
     restored
 }
@@ -140,12 +196,51 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
 pub const LOSS_SHOWN: std::time::Duration = std::time::Duration::from_secs(3600);
 
 impl Restored {
+    /// What is remembered of loops, by what becomes of them under a configuration. Those of other shards are not this
+    /// daemon's.
+    pub fn take_memories(&mut self, config: &Config) -> Memories {
+        let named: HashSet<&str> = config.loops.iter().map(|l| l.name.as_str()).collect();
+        let named_before = self.named_before(&config.hash());
+        let mut memories = Memories::default();
+        for (name, memory) in mem::take(&mut self.memories).into_iter().filter(|(name, _)| config.shard.owns(name)) {
+            let is_removed = !named.contains(&*name) && (!config.input.discover || named_before.contains(&name));
+            let of = match (is_removed, self.left.contains(&name)) {
+                (true, _) => &mut memories.removed,
+                (false, true) => &mut memories.left,
+                (false, false) => &mut memories.there,
+            };
+            of.insert(name, memory);
+        }
+        memories
+    }
+
+    /// The loops that the newest recording's configuration names, where it is another one.
+    fn named_before(&self, hash: &str) -> HashSet<String> {
+        let named = |path: &PathBuf| {
+            let reader = RecordingReader::open(path).ok()?;
+            let is_other = reader.metadata().get("config_hash").is_some_and(|before| before != hash);
+            let before = is_other.then(|| RunMetadata::of(path, reader.metadata()).ok()).flatten()?;
+            Some(before.config.loops.into_iter().map(|l| l.name).collect())
+        };
+        self.newest.as_ref().and_then(named).unwrap_or_default()
+    }
+
+    /// Notes a run in the store before it records anything.
+    pub fn note_run(&mut self, prefix: &str, run_id: &str) {
+        let Some(runs) = self.runs.and(run_id) else { return };
+        let Some(store) = self.store.take() else { return };
+        // After an error the keeper opens it anew.
+        self.store = store.save([(key_of_runs(prefix).as_str(), runs.as_slice())]).is_ok().then_some(store);
+    }
+
     /// Puts everything into the store before the run begins, but for what it holds already.
     fn seal(&mut self, prefix: &str, is_whole: bool, faults: &Faults) {
         let Some(store) = self.store.take() else { return };
         let missing = if is_whole { None } else { Some(&self.memories) };
         let states = missing.into_iter().flatten().filter_map(|(name, memory)| {
-            Some((key_of(prefix, name), to_json(&StateDocument::new(name, None, memory.clone()))?))
+            let left = self.left.contains(name);
+            let state = StateDocument { left, ..StateDocument::new(name, None, memory.clone()) };
+            Some((key_of(prefix, name), to_json(&state)?))
         });
         let number = (prefix.to_owned(), self.run_number.to_string().into_bytes());
         let values: Vec<(String, Vec<u8>)> = states.chain([number]).collect();
@@ -220,8 +315,11 @@ pub fn open_store(
     opened.map_err(|e| e.to_string())
 }
 
+/// Memory of loops by name, and whether they had left the plant.
+type Found = BTreeMap<String, (Checkpoint, bool)>;
+
 /// The newest memory of every loop in the latest runs.
-fn memories_in_recordings(files: &[RunFile], prefix: &str) -> BTreeMap<String, Checkpoint> {
+fn memories_in_recordings(files: &[RunFile], prefix: &str) -> Found {
     let mut memories = BTreeMap::new();
     for run in files.chunk_by(|a, b| a.run_id == b.run_id).rev().take(RUNS) {
         let mut of_run = BTreeMap::new();
@@ -239,15 +337,20 @@ fn memories_in_recordings(files: &[RunFile], prefix: &str) -> BTreeMap<String, C
     memories
 }
 
-fn read_states(path: &Path, prefix: &str, memories: &mut BTreeMap<String, Checkpoint>) -> Result<(), ReadError> {
+fn read_states(path: &Path, prefix: &str, memories: &mut Found) -> Result<(), ReadError> {
     let mut reader = RecordingReader::open(path)?;
     while let Some(item) = reader.next_item()? {
         let Item::Message(message) = item else { continue };
-        let topic = Topic::parse(Some(prefix), message.topic());
-        if topic.is_some_and(|t| t.leaf == Leaf::Document(Kind::State))
+        let Some(topic) = Topic::parse(Some(prefix), message.topic()) else { continue };
+        if topic.leaf == Leaf::Document(Kind::State)
             && let Ok(state) = serde_json::from_slice::<StateDocument>(message.data)
         {
-            memories.insert(state.loop_name, Checkpoint { stream: None, ..state.checkpoint });
+            memories.insert(state.loop_name, (Checkpoint { stream: None, ..state.checkpoint }, false));
+        } else if topic.leaf == Leaf::Document(Kind::Input)
+            && let Some(memory) = memories.get_mut(topic.loop_name)
+            && matches!(serde_json::from_slice(message.data), Ok(RecordedInput::Forget))
+        {
+            memory.1 = memory.0.alarm.shown() != State::Normal;
         }
     }
     Ok(())

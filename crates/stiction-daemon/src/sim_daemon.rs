@@ -95,11 +95,14 @@ impl SimDaemon {
         let (metrics, faults) = (Arc::new(Metrics::default()), Arc::new(Faults::new(clock.clone())));
         let dir = Path::new(&config.recording.dir).to_owned();
         let prefix = config.site.prefix.clone();
-        let Restored { memories, store, run_number, verified, data_health } =
-            restore::restore(disk.as_ref(), &dir, &prefix, &faults, &metrics);
+        let mut restored = restore::restore(disk.as_ref(), &dir, &prefix, &faults, &metrics);
+        let memories = restored.take_memories(&config);
+        let run = run_of(&config, config_text, clock, restored.run_number);
+        restored.note_run(&prefix, &run.run_id);
+        let Restored { store, runs, verified, data_health, .. } = restored;
         restore::tell_aside(&dir, &faults);
-        let Refilled { engine, continued } = refill(&dir, &config, clock.now_ns(), &faults);
-        let run = RunInfo { continued, ..run_of(&config, config_text, clock, run_number) };
+        let Refilled { engine, continued, last } = refill(&dir, &config, &runs, clock.now_ns(), &faults);
+        let run = RunInfo { continued, ..run };
         let run_id = run.run_id.clone();
         let place = (disk.clone(), clock.clone());
         let (recorder, writer) = Recorder::pair(run, config.recording.clone(), place, metrics.clone(), faults.clone());
@@ -160,7 +163,7 @@ impl SimDaemon {
             clock: clock.clone(),
             health_every: super::HEALTH_EVERY,
         });
-        core.restore(memories);
+        core.restore(memories, last);
         core.begin(0);
         Ok(Self {
             core,

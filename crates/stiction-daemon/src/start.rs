@@ -1,6 +1,5 @@
 //! The first part of a run's start: reads what earlier runs left, opens the session, starts the threads that take results.
 
-use std::collections::HashSet;
 use std::convert::Infallible;
 use std::future::Future;
 use std::path::{Path, PathBuf};
@@ -13,7 +12,7 @@ use sd_notify::NotifyState;
 use super::core::tell_system;
 use super::data_health::{self, DataHealthParts, DataHealthWorker};
 use super::refill::{self, Refilled};
-use super::restore::{self, Restored};
+use super::restore::{self, OwnRuns, Restored};
 use super::retention::{self, RetentionParts};
 use super::shutdown::{self, NamedThread};
 use crate::sink::deliver::Outbox;
@@ -109,7 +108,7 @@ pub(super) async fn open(
     stop: &mut (impl Future<Output = ()> + Unpin),
 ) -> anyhow::Result<Option<Opened>> {
     let Shared { faults, metrics, snapshot, recordings, .. } = shared;
-    let mut restored = if goes_on(origin) {
+    let restored = if goes_on(origin) {
         let reading = restore_in_background(config, faults, metrics);
         let Some(read) = unless_stopped(reading, ask_for_patience(faults, snapshot), stop).await else {
             return Ok(None);
@@ -119,9 +118,6 @@ pub(super) async fn open(
         Restored::default()
     };
     restore::tell_aside(recordings, faults);
-    let named: HashSet<&str> = config.loops.iter().map(|l| l.name.as_str()).collect();
-    let is_own = |name: &str| config.shard.owns(name) && (config.input.discover || named.contains(name));
-    restored.memories.retain(|name, _| is_own(name));
     // A client's session opens once its router is there, which may be never.
     let opening = source::zenoh::open(config);
     let Some(opened) = unless_stopped(opening, wait_for_router(faults, snapshot), stop).await else { return Ok(None) };
@@ -142,13 +138,13 @@ pub(super) async fn open(
 pub(super) async fn refill(
     config: &Config,
     shared: &Shared,
-    origin: &str,
+    (origin, runs): (&str, &OwnRuns),
     stop: &mut (impl Future<Output = ()> + Unpin),
 ) -> Option<Refilled> {
     if !goes_on(origin) {
         return Some(Refilled::empty(config));
     }
-    let reading = refill_in_background(config, &shared.faults);
+    let reading = refill_in_background(config, runs, &shared.faults);
     unless_stopped(reading, ask_for_patience(&shared.faults, &shared.snapshot), stop).await
 }
 
@@ -186,12 +182,13 @@ pub(super) fn threads(
     config: &Config,
     shared: &Shared,
     run: RunInfo,
-    (restored, lock): (Restored, Option<FolderLock>),
+    (mut restored, lock): (Restored, Option<FolderLock>),
     session: &zenoh::Session,
     signer: Option<Arc<Signer>>,
 ) -> anyhow::Result<(Vec<NamedThread>, Sinks)> {
     let Shared { current, recordings, metrics, faults, overview, last, .. } = shared;
     let (run_id, daemon_id, is_kept) = (run.run_id.clone(), run.daemon.clone(), goes_on(run.origin));
+    restored.note_run(&config.site.prefix, &run_id);
     let told = (metrics.clone(), faults.clone());
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), signer, told)?;
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
@@ -252,9 +249,10 @@ async fn restore_in_background(config: &Config, faults: &Arc<Faults>, metrics: &
 }
 
 /// The loops' windows, read on a thread of its own; a failure leaves them empty.
-async fn refill_in_background(config: &Config, faults: &Arc<Faults>) -> Refilled {
-    let (own, named) = (config.clone(), faults.clone());
-    let read = move || refill::refill(Path::new(&own.recording.dir), &own, stiction_runtime::clock::now_ns(), &named);
+async fn refill_in_background(config: &Config, runs: &OwnRuns, faults: &Arc<Faults>) -> Refilled {
+    let (own, runs, named) = (config.clone(), runs.clone(), faults.clone());
+    let now_ns = stiction_runtime::clock::now_ns();
+    let read = move || refill::refill(Path::new(&own.recording.dir), &own, &runs, now_ns, &named);
     tokio::task::spawn_blocking(read).await.unwrap_or_else(|error| {
         faults.raise("restore", format!("the loops' windows begin empty, the log says why: {error}"));
         Refilled::empty(config)

@@ -58,6 +58,12 @@ pub fn key_of_data_health(prefix: &str) -> String {
     format!("\ndata_health\n{prefix}")
 }
 
+/// The key of the runs that were begun under a prefix; no loop has it.
+#[must_use]
+pub fn key_of_runs(prefix: &str) -> String {
+    format!("\nruns\n{prefix}")
+}
+
 /// An error of the store.
 #[derive(Debug, Error)]
 pub enum StoreError {

@@ -53,6 +53,13 @@ pub struct Recent {
     pub verdict: Verdict,
 }
 
+impl Recent {
+    fn of(document: &EstimateDocument) -> Self {
+        let a = &document.assessment;
+        Self { t_ms: ms_from_ns(a.window.end_ns), p: a.p_stiction, s: a.s, verdict: a.verdict }
+    }
+}
+
 /// One loop in a list of all.
 #[derive(Debug, Clone, PartialEq, Serialize, schemars::JsonSchema)]
 #[allow(missing_docs)] // fields of the estimate and the alarm, defined in docs/verdicts.md and docs/alarms.md
@@ -231,15 +238,27 @@ impl Overview {
             if entry.recent.len() == RECENT {
                 entry.recent.pop_front();
             }
-            entry.recent.push_back(Recent {
-                t_ms: ms_from_ns(a.window.end_ns),
-                p: a.p_stiction,
-                s: a.s,
-                verdict: a.verdict,
-            });
+            entry.recent.push_back(Recent::of(&document));
             entry.limited = obstacles::Since::after(entry.limited.or(earlier), a);
             entry.signals.window(action, a);
             entry.estimate = Some(document);
+        });
+    }
+
+    /// What an earlier run heard of a loop last: the moment and stamp of its newest sample, and its newest answer.
+    pub fn restore(
+        &self,
+        name: &Arc<str>,
+        place: &LoopContext,
+        (heard, newest_ns): (Instant, Option<i64>),
+        document: Option<Arc<EstimateDocument>>,
+    ) {
+        self.change(name, place, heard, |entry| {
+            (entry.advanced, entry.newest_ns) = (heard, newest_ns);
+            if let Some(document) = document {
+                entry.recent.push_back(Recent::of(&document));
+                entry.estimate = Some(document);
+            }
         });
     }
 

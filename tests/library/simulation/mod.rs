@@ -8,6 +8,7 @@ mod control;
 mod disk;
 mod edits;
 mod folder;
+mod hostile;
 mod leavers;
 mod neighbours;
 mod oracle;
@@ -16,6 +17,7 @@ mod pooled;
 mod receiver;
 mod refill;
 mod repairs;
+mod restarts;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -66,7 +68,7 @@ impl Drop for Named {
     fn drop(&mut self) {
         if std::thread::panicking() {
             let seed = self.0;
-            eprintln!("\nseed {seed} failed; again: STICTIOND_SEED={seed} cargo test --test library simulation days\n");
+            eprintln!("\nseed {seed} failed; again: STICTIOND_SEED={seed} cargo test --test library simulation\n");
         }
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use stiction_daemon::replay::{chains_of, files_needed};
+use stiction_daemon::replay::{chains_of, files_before};
 use stiction_daemon::rerun::Rerun;
 use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_daemon::sink::recorder::shard_of;
@@ -114,17 +114,30 @@ pub fn chains_replay_to_the_byte(dir: &Path) -> usize {
     compared
 }
 
+/// Every run as the command replays a folder: after as much of the earlier files as its windows need.
+pub fn runs_replay_to_the_byte(dir: &Path) -> usize {
+    let mut compared = 0;
+    for chain in chains_of(dir).unwrap() {
+        let before = files_before(&chain).unwrap();
+        let mut replay = Rerun::new(&metadata(&chain[0]).config, Some("stage"), false);
+        for (at, file) in before.iter().chain(&chain).enumerate() {
+            let report = replay.file(file, "p", at == 0, at >= before.len()).unwrap();
+            assert_eq!(report.difference, None, "{}", file.display());
+            compared += report.compared;
+        }
+    }
+    compared
+}
+
 /// Every file by itself, and every chain of files, as the command does.
 pub fn replays_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;
     for chain in chains_of(dir).unwrap() {
-        let needed = |file: &PathBuf| files_needed(file, &metadata(file)).unwrap();
-        let mut whole = needed(&chain[0]);
-        whole.pop();
-        for file in &chain {
-            compared += compare_last(&needed(file));
-            whole.push(file.clone());
-            compare_last(&whole);
+        let needed = |files: &[PathBuf]| [&files_before(files).unwrap(), files].concat();
+        let whole = needed(&chain);
+        for (at, file) in chain.iter().enumerate() {
+            compared += compare_last(&needed(std::slice::from_ref(file)));
+            compare_last(&whole[..=whole.len() - chain.len() + at]);
         }
     }
     compared

@@ -2,6 +2,7 @@
 
 use super::super::gaps::{self, Diagnosed, Outcome};
 use super::{Core, to_json};
+use stiction_core::gap::MIN_POINTS;
 use stiction_monitor::alarm::{AlarmDocument, Command, CommandError};
 use stiction_monitor::codec::topic::Kind;
 use stiction_monitor::engine::{
@@ -17,7 +18,17 @@ impl Core {
             return;
         }
         // A loop that is not there costs nobody's rate.
-        let known = self.engine.find(loop_name).is_some() || self.engine.has_left(loop_name);
+        let has_left = self.engine.has_left(loop_name);
+        let known = self.engine.find(loop_name).is_some() || has_left;
+        // One that left obeys whether or not there is a place for it, and goes again where there is none.
+        let is_guest = has_left && !self.engine.has_place_for(loop_name);
+        self.answer_command((loop_name, known), command, answer);
+        if is_guest && let Some(id) = self.engine.find(loop_name) {
+            self.forget(&[id]);
+        }
+    }
+
+    fn answer_command(&mut self, (loop_name, known): (&str, bool), command: &Command, answer: Answer) {
         let now = self.clock.since(self.started);
         let allowed = self.policy.check(command).and_then(|()| if known { self.policy.command(now) } else { Ok(()) });
         let done = allowed.and_then(|()| self.command(loop_name, command).map_err(|e| e.to_string()));
@@ -88,13 +99,14 @@ impl Core {
         if let Err(why) = self.policy.name(by.as_deref()) {
             return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
         }
-        let Some(id) = self.find_or_revive(loop_name) else {
-            return self.refuse_gap(
-                answer,
-                loop_name,
-                by.as_deref(),
-                &GapRefusal::UnknownLoop(loop_name.to_owned()).to_string(),
-            );
+        let Some(id) = self.engine.find(loop_name).filter(|id| !self.removed.contains(id)) else {
+            // Of one that left no sample is held.
+            let why = if self.engine.has_left(loop_name) {
+                GapRefusal::TooShort { points: 0, needed: MIN_POINTS }
+            } else {
+                GapRefusal::UnknownLoop(loop_name.to_owned())
+            };
+            return self.refuse_gap(answer, loop_name, by.as_deref(), &why.to_string());
         };
         if let Some(number) = self.engine.gaps_waiting(id).last() {
             let asking = self.asking.entry((id, number)).or_default();

@@ -13,6 +13,7 @@ mod sweep;
 mod tests;
 mod windows;
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -27,6 +28,8 @@ use super::feeds::Feeds;
 use super::gaps::Diagnoser;
 use super::limits::{Limits, Refused};
 use super::plant::Comparer;
+use super::rerun::LastSeen;
+use super::restore::Memories;
 use super::routes::Routes;
 use super::schedule::Schedule;
 use super::worker::{Answered, Job, Workers};
@@ -38,10 +41,10 @@ use crate::source::Message;
 use crate::source::shares::Shares;
 use stiction_core::record::Sample;
 use stiction_core::units::s_from_ns;
-use stiction_monitor::alarm::AlarmDocument;
+use stiction_monitor::alarm::{AlarmDocument, State};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Checkpoint, Engine, Event, LoopId, SkipReason, StateDocument};
+use stiction_monitor::engine::{Engine, Event, LoopId, SkipReason, StateDocument};
 use stiction_runtime::clock::Clock;
 use stiction_runtime::control::{Answer, Control};
 use stiction_runtime::faults::Faults;
@@ -206,14 +209,47 @@ impl Core {
         }
     }
 
-    /// Takes over what the run before remembered of its loops, and publishes the alarms that are not at rest.
-    pub fn restore(&mut self, memories: BTreeMap<String, Checkpoint>) {
-        for (name, memory) in memories {
-            let Some(id) = self.engine.appear(&name) else { continue };
-            if let Some(document) = self.engine.restore(id, memory) {
-                self.show_alarm(id, &document);
-                self.publish(id, Kind::Alarm, &document);
+    /// Takes over what the runs before remembered of their loops, and publishes the alarms that are not at rest. Loops whose
+    /// windows go on have their places already, then come those that were answered last; the others wait for theirs.
+    pub fn restore(&mut self, memories: Memories, last: BTreeMap<String, LastSeen>) {
+        let Memories { there, left, removed } = memories;
+        let mut there: Vec<_> = there.into_iter().map(|(name, memory)| (name, memory, false)).collect();
+        there.sort_by_key(|(_, memory, _)| Reverse(memory.alarm.progress()));
+        let left = left.into_iter().map(|(name, memory)| (name, memory, true));
+        for (name, memory, has_left) in there.into_iter().chain(left) {
+            let id = if has_left { self.engine.find(&name) } else { self.engine.appear(&name) };
+            let document = match id {
+                Some(id) => self.engine.restore(id, memory),
+                None => self.engine.remember(&name, memory),
+            };
+            if let Some(document) = document {
+                self.show_alarm(&document);
+                self.publish(&document.loop_name, Kind::Alarm, &document);
             }
+        }
+        for (name, memory) in removed {
+            if memory.alarm.shown() == State::Normal {
+                self.keeper.iter().for_each(|keeper| keeper.forget(&name));
+                continue;
+            }
+            let id = self.engine.appear_anyway(&name);
+            self.engine.restore(id, memory);
+            self.removed.insert(id);
+        }
+        self.show_last(last);
+    }
+
+    /// Shows what was heard of each loop last: silence goes on over a restart.
+    fn show_last(&self, last: BTreeMap<String, LastSeen>) {
+        let Some(overview) = &self.overview else { return };
+        let (now, now_ns) = (self.clock.now(), self.clock.now_ns());
+        for (name, LastSeen { estimate, heard_ns }) in last {
+            let Some(id) = self.engine.find(&name) else { continue };
+            let silent_ns = heard_ns.map_or(0, |ns| now_ns.saturating_sub(ns)).max(0);
+            let heard = now.checked_sub(Duration::from_nanos(silent_ns.unsigned_abs())).unwrap_or(now);
+            let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+            let newest_ns = self.engine.figures(id).greatest_ns;
+            overview.restore(name, place, (heard, newest_ns), estimate.map(Arc::from));
         }
     }
 
@@ -259,6 +295,7 @@ impl Core {
     /// What comes before anything is taken: the files, and a first word.
     pub fn begin(&mut self, input_waiting: usize) {
         self.register_all();
+        self.forget_removed();
         self.report(input_waiting);
     }
 
@@ -459,22 +496,24 @@ impl Core {
         } else {
             tracing::info!(target: "stiction_monitor::alarm", "{}", document.line());
         }
-        self.show_alarm(id, document);
+        self.show_alarm(document);
         self.record(id, Kind::Alarm, document, document.changed_ns);
         let Some(json) = to_json(document) else { return };
         if let Some(outbox) = self.outbox.as_ref().filter(|outbox| outbox.wants(Kind::Alarm)) {
             outbox.offer(Outgoing::alarm(&self.config.site.prefix, document, &json));
         }
-        self.publish_json(id, Kind::Alarm, json);
+        self.publish_json(&document.loop_name, Kind::Alarm, json);
     }
 
-    fn show_alarm(&mut self, id: LoopId, document: &AlarmDocument) {
-        let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+    fn show_alarm(&mut self, document: &AlarmDocument) {
+        let name: Arc<str> = document.loop_name.as_str().into();
+        let there = self.engine.find(&name).map(|id| self.engine.settings(id));
+        let place = &there.unwrap_or_else(|| self.engine.engine_settings().of(&name)).place;
         if let Some(overview) = &self.overview {
-            overview.alarm(name, place, self.clock.now(), document);
+            overview.alarm(&name, place, self.clock.now(), document);
         }
         let Some(board) = &mut self.board else { return };
-        board.alarm(&self.metrics.series, name, place, document);
+        board.alarm(&self.metrics.series, &name, place, document);
     }
 
     /// Publishes what a window gave, to receivers outside the bus too.
@@ -483,7 +522,7 @@ impl Core {
         if let Some(outbox) = self.outbox.as_ref().filter(|outbox| outbox.wants(kind)) {
             outbox.offer(Outgoing::result(&self.config.site.prefix, self.engine.name(id), kind, end_ns, &json));
         }
-        self.publish_json(id, kind, json);
+        self.publish_json(self.engine.name(id), kind, json);
     }
 
     fn record(&mut self, id: LoopId, kind: Kind, document: &impl serde::Serialize, event_ns: i64) {
@@ -492,14 +531,14 @@ impl Core {
         recorder.record(Item::Document { id, name, kind, json, event_ns });
     }
 
-    fn publish(&self, id: LoopId, kind: Kind, document: &impl serde::Serialize) {
+    fn publish(&self, name: &str, kind: Kind, document: &impl serde::Serialize) {
         if let Some(json) = to_json(document) {
-            self.publish_json(id, kind, json);
+            self.publish_json(name, kind, json);
         }
     }
 
-    fn publish_json(&self, id: LoopId, kind: Kind, json: Vec<u8>) {
-        let key = topic::result(&self.config.site.prefix, self.engine.name(id), kind);
+    fn publish_json(&self, name: &str, kind: Kind, json: Vec<u8>) {
+        let key = topic::result(&self.config.site.prefix, name, kind);
         self.publisher.publish(Publication { key, kind, document: Some(json) });
     }
 

@@ -96,7 +96,7 @@ impl Core {
             self.keep(&StateDocument::new(name, None, self.memory(id)));
         }
         for (name, memory) in self.engine.left() {
-            self.keep(&StateDocument::new(name, None, memory.clone()));
+            self.keep(&StateDocument { left: true, ..StateDocument::new(name, None, memory.clone()) });
         }
     }
 

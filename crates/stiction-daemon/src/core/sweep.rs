@@ -9,9 +9,9 @@ use crate::sink::recorder::{Item, LOOPS_PER_FILE, shard_of};
 use crate::sink::zenoh::Publication;
 use stiction_core::signal::align::AlignCounts;
 use stiction_core::units::s_from_ns;
-use stiction_monitor::alarm::State;
+use stiction_monitor::alarm::{Alarm, State};
 use stiction_monitor::codec::topic::{self, Kind};
-use stiction_monitor::engine::{LoopId, RecordedInput, StateDocument};
+use stiction_monitor::engine::{Checkpoint, GapWatch, LoopId, RecordedInput, StateDocument};
 use stiction_runtime::health::LoopHealth;
 
 /// How often a part of the loops is looked at.
@@ -102,16 +102,19 @@ impl Core {
             return self.open_shard(shard);
         }
         let state = self.engine.checkpoint(id);
-        if state.alarm.shown() != State::Normal {
-            // It came back with its alarm: a replay of this file must know it too.
+        let nothing = Checkpoint { alarm: Alarm::default(), gap: GapWatch::default(), group: None, stream: None };
+        if self.memory(id) != nothing {
+            // It came back with what was remembered of it: a replay of this file must know it too.
             let document = StateDocument::new(self.engine.name(id), None, state);
             self.record(id, Kind::State, &document, 0);
         }
     }
 
-    /// The handle of a loop, which comes back if it was forgotten with an alarm; none of a loop that was removed.
+    /// The handle of a loop, which comes back if it was forgotten with an alarm, be there room or not; none of a loop that was
+    /// removed.
     pub(super) fn find_or_revive(&mut self, name: &str) -> Option<LoopId> {
-        let id = if self.engine.has_left(name) { self.engine.appear(name) } else { self.engine.find(name) };
+        let has_left = self.engine.has_left(name);
+        let id = if has_left { Some(self.engine.appear_anyway(name)) } else { self.engine.find(name) };
         id.filter(|id| !self.removed.contains(id)).inspect(|id| self.register(*id))
     }
 
@@ -178,7 +181,7 @@ impl Core {
         let (all, from, now_ns) = (self.engine.places(), self.sweep.next_health, self.clock.now_ns());
         for id in self.engine.ids_in(from, from + slice) {
             let health = LoopHealth::new(self.engine.name(id), &self.daemon_id, &self.engine.figures(id), now_ns);
-            self.publish(id, Kind::Health, &health);
+            self.publish(self.engine.name(id), Kind::Health, &health);
         }
         self.sweep.next_health = if from + slice >= all { 0 } else { from + slice };
     }
@@ -195,6 +198,9 @@ impl Core {
             let at_rest = self.engine.checkpoint(id).alarm.shown() == State::Normal;
             let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
             self.record(id, Kind::Input, &RecordedInput::Forget, at_ns);
+            if !at_rest {
+                self.keep(&StateDocument { left: true, ..StateDocument::new(&name, None, self.memory(id)) });
+            }
             self.engine.forget(id);
             if let Some(plant) = &mut self.plant {
                 plant.forget(&name);

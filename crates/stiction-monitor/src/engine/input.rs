@@ -101,6 +101,9 @@ pub struct StateDocument {
     pub loop_name: String,
     /// The window after which it holds; null at the start of a file.
     pub window_end_ns: Option<i64>,
+    /// The loop had left the plant: what is kept waits for its return.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub left: bool,
     /// The state.
     #[serde(flatten)]
     pub checkpoint: Checkpoint,
@@ -110,6 +113,7 @@ impl StateDocument {
     /// A state, named.
     #[must_use]
     pub fn new(loop_name: &str, window_end_ns: Option<i64>, checkpoint: Checkpoint) -> Self {
-        Self { schema: STATE_SCHEMA.to_owned(), loop_name: loop_name.to_owned(), window_end_ns, checkpoint }
+        let (schema, loop_name) = (STATE_SCHEMA.to_owned(), loop_name.to_owned());
+        Self { schema, loop_name, window_end_ns, left: false, checkpoint }
     }
 }

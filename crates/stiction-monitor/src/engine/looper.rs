@@ -43,9 +43,11 @@ pub(super) struct Loop {
     gaps_waiting: VecDeque<WaitingGap>,
     /// Windows of the latest diagnoses, none of which overlaps another.
     diagnosed: VecDeque<pool::Window>,
-    /// After a restart, the end of the last window that the alarm has taken: the recording may end before it, and none is
-    /// made twice.
+    /// End of the last window that came due, or after a restart that the alarm has taken: none is made twice, whatever comes
+    /// late. None again once the plant's clock is set back.
     taken_ns: Option<i64>,
+    /// The configuration named it and names it no longer: until it is let go it stays as it was.
+    pub removed: bool,
 }
 
 impl Loop {
@@ -64,6 +66,7 @@ impl Loop {
             gaps_waiting: VecDeque::new(),
             diagnosed: VecDeque::new(),
             taken_ns: None,
+            removed: false,
             settings,
         }
     }
@@ -80,7 +83,7 @@ impl Loop {
     pub fn take_settings(&mut self, settings: Arc<LoopSettings>) -> bool {
         let old = std::mem::replace(&mut self.settings, settings);
         if !old.window_continues_under(&self.settings) {
-            self.taken_ns = self.waiting.back().map(|w| w.end_ns).or(self.alarm.window_end_ns());
+            self.taken_ns = self.taken_ns.or(self.alarm.window_end_ns());
             self.next_end_ns = None;
             self.aligner = Aligner::new();
             self.history = self.settings.window.history(0);
@@ -95,13 +98,10 @@ impl Loop {
         let keep_ns = ns_from_s(settings.window.max_window_s);
         while let Some(t_ns) = self.aligner.next_ready_ns(&settings.align) {
             self.enter_hop(id, t_ns, out);
-            let Self { history, aligner, taken_ns, .. } = self;
+            let Self { history, aligner, .. } = self;
             aligner.take_next(&settings.align, &mut |aligned| match aligned {
                 Aligned::Point(point) => history.push(&point, point.t_ns.saturating_sub(keep_ns)),
-                Aligned::Break => {
-                    history.clear();
-                    *taken_ns = None;
-                }
+                Aligned::Break => history.clear(),
             });
         }
         // The window is over once the loop's clock has passed its end and nothing of it waits for its place.
@@ -118,15 +118,14 @@ impl Loop {
     /// window: an outage of years would otherwise make thousands of empty documents.
     fn enter_hop(&mut self, id: LoopId, t_ns: i64, out: &mut Vec<Event>) {
         let hop_ns = ns_from_s(self.settings.window.hop_s).max(1);
-        if let Some(end_ns) = self.next_end_ns {
-            if t_ns > end_ns {
-                self.due(id, end_ns, out);
-                self.next_end_ns = None;
-            } else if t_ns <= end_ns.saturating_sub(hop_ns) {
-                // The clock was set back.
-                self.next_end_ns = None;
-            }
+        let is_before = |end_ns: &mut i64| t_ns <= end_ns.saturating_sub(hop_ns);
+        if let Some(end_ns) = self.next_end_ns.filter(|end_ns| t_ns > *end_ns) {
+            self.due(id, end_ns, out);
+            self.next_end_ns = None;
         }
+        // Nothing is taken from before the hop of a window that was due or under way, unless the clock was set back.
+        self.next_end_ns.take_if(is_before);
+        self.taken_ns.take_if(is_before);
         if self.next_end_ns.is_none() {
             let end = t_ns.div_euclid(hop_ns).saturating_mul(hop_ns);
             self.next_end_ns = Some(if end == t_ns { end } else { end.saturating_add(hop_ns) });
@@ -138,7 +137,7 @@ impl Loop {
         if self.taken_ns.is_some_and(|taken_ns| end_ns <= taken_ns) {
             return;
         }
-        self.taken_ns = None;
+        self.taken_ns = Some(end_ns);
         let (seq, bad) = (self.windows, self.aligner.bad_since_last_point());
         self.windows += 1;
         let ts_s = self.aligner.sampling_time_s().unwrap_or(0.0);
@@ -350,7 +349,8 @@ impl Loop {
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Option<AlarmDocument> {
         (self.alarm, self.gap, self.group) = (checkpoint.alarm, checkpoint.gap, checkpoint.group);
         if let Some(stream) = checkpoint.stream {
-            if self.history.total() != stream.points {
+            // An empty one may have the sizes of other settings.
+            if self.history.total() != stream.points || stream.points == 0 {
                 self.history = self.settings.window.history(stream.points);
             }
             self.aligner = stream.aligner;

@@ -161,7 +161,7 @@ pub struct Engine {
     by_name: HashMap<Arc<str>, LoopId>,
     /// Handles of loops that were forgotten: the next loops get them.
     free: BTreeSet<LoopId>,
-    /// Alarms of forgotten loops that are not at rest, for when these come back.
+    /// Memory of loops that are not there, for when they come back: of forgotten ones where the alarm is not at rest.
     left: HashMap<Arc<str>, Checkpoint>,
     /// Stands in for a loop that was forgotten: whoever still has its handle finds nothing.
     nobody: Box<Loop>,
@@ -236,11 +236,13 @@ impl Engine {
     /// The handle of a loop, which appears now if it is new; `None` beyond `max_loops`. Loops with settings of their own
     /// always have their place, whoever came before them.
     pub fn appear(&mut self, name: &str) -> Option<LoopId> {
+        self.has_place_for(name).then(|| self.appear_anyway(name))
+    }
+
+    /// The same whether or not there is room: for a loop that is let go again at once.
+    pub fn appear_anyway(&mut self, name: &str) -> LoopId {
         if let Some(id) = self.find(name) {
-            return Some(id);
-        }
-        if !self.has_room_for(self.settings.own.contains_key(name)) {
-            return None;
+            return id;
         }
         let mut new = Loop::new(name.into(), self.settings.of(name).clone());
         if let Some(memory) = self.left.remove(name) {
@@ -248,7 +250,15 @@ impl Engine {
         }
         let id = self.free.first().copied().unwrap_or(LoopId(self.loops.len() as u32));
         self.put(id, Box::new(new));
-        Some(id)
+        id
+    }
+
+    /// Keeps the memory of a loop that is not there until it comes. Gives its alarm's document where that is not at rest.
+    pub fn remember(&mut self, name: &str, memory: Checkpoint) -> Option<AlarmDocument> {
+        let is_at_rest = memory.alarm.shown() == State::Normal;
+        let document = (!is_at_rest).then(|| memory.alarm.restored(name).at(&self.settings.of(name).place));
+        self.left.insert(name.into(), memory);
+        document.map(|document| self.signed(document))
     }
 
     fn put(&mut self, id: LoopId, new: Box<Loop>) {
@@ -277,6 +287,12 @@ impl Engine {
         from.free.insert(old);
         self.put(id, Box::new(taken.in_next_run(self.settings.of(name).clone())));
         Some(id)
+    }
+
+    /// Whether a loop is there, or may appear.
+    #[must_use]
+    pub fn has_place_for(&self, name: &str) -> bool {
+        self.find(name).is_some() || self.has_room_for(self.settings.own.contains_key(name))
     }
 
     /// Whether a loop without settings of its own may still appear.
@@ -455,14 +471,20 @@ impl Engine {
     }
 
     /// Takes other settings over, and gives the loops whose own differ. A loop that was named and is named no longer goes on
-    /// as it was: whoever drives the engine lets it go. The recording must begin a new file here, under these settings.
+    /// as it was, over further edits too: whoever drives the engine lets it go. The recording must begin a new file here, under
+    /// these settings. Settings that are equal change nothing.
     pub fn reconfigure(&mut self, settings: EngineSettings) -> Vec<LoopId> {
+        let origin = |s: &EngineSettings| (s.config_hash.clone(), s.origins.clone());
+        if origin(&settings) == origin(&self.settings) {
+            return Vec::new();
+        }
         let before = std::mem::replace(&mut self.settings, settings);
         let was_removed = |name: &str| before.own.contains_key(name) && !self.settings.own.contains_key(name);
         let mut changed = Vec::new();
         for id in self.ids() {
-            let Some(one) = self.loops[id.index()].as_mut().filter(|one| !was_removed(&one.name)) else { continue };
-            if one.take_settings(self.settings.of(&one.name).clone()) {
+            let Some(one) = self.loops[id.index()].as_mut() else { continue };
+            one.removed |= was_removed(&one.name);
+            if !one.removed && one.take_settings(self.settings.of(&one.name).clone()) {
                 changed.push(id);
             }
         }
