@@ -81,9 +81,9 @@ pub struct Args {
     /// Measure only the solver: kernels, indicators, screening, estimates.
     #[arg(long)]
     pub solver_only: bool,
-    /// Index of labelled recordings for timing estimates; skipped if missing.
-    #[arg(long, value_name = "INDEX.csv", default_value = "../shared/data/INDEX.csv")]
-    pub recordings: PathBuf,
+    /// Index of labelled recordings, whose estimates are timed too.
+    #[arg(long, value_name = "INDEX.csv")]
+    pub recordings: Option<PathBuf>,
     /// Endpoint of the daemon; used by the publisher process.
     #[arg(long, hide = true)]
     pub publish: Option<String>,
@@ -122,7 +122,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if args.growth || [args.loops.is_some(), args.replay.is_some(), args.histories.is_some()].contains(&true) {
         return Ok(Outcome::Done);
     }
-    solving::rows(&args.recordings, |rows| print(rows, format))?;
+    solving::rows(args.recordings.as_deref(), |rows| print(rows, format))?;
     if !args.solver_only {
         print(intake()?, format)?;
         print(ingest(args)?, format)?;

@@ -24,14 +24,14 @@ const LOOPS: u64 = 2;
 /// Emits every row as soon as it is known.
 ///
 /// # Errors
-/// Those of `out`.
-pub fn rows(recordings: &Path, mut out: impl FnMut(Vec<Row>) -> anyhow::Result<()>) -> anyhow::Result<()> {
+/// Those of `out`; the labelled recordings cannot be read.
+pub fn rows(recordings: Option<&Path>, mut out: impl FnMut(Vec<Row>) -> anyhow::Result<()>) -> anyhow::Result<()> {
     out(kernels(&accuracy(Half::Report, Regime::HeStart, 1)))?;
     out(indicators())?;
     out(calm())?;
     out(estimates())?;
     out(solver())?;
-    out(labelled(recordings))
+    recordings.map_or(Ok(()), |index| out(labelled(index)?))
 }
 
 fn us(name: impl Into<String>, ms: f64) -> Row {
@@ -135,14 +135,10 @@ fn solver() -> Vec<Row> {
     [SolverName::Random, SolverName::Contour].into_iter().filter_map(once).collect()
 }
 
-/// Labelled recordings, if present.
-fn labelled(index: &Path) -> Vec<Row> {
-    match evaluate::records(index) {
-        Ok(records) if !records.is_empty() => {
-            let times: Vec<f64> = records.iter().map(|(r, params)| cpu::ms(1, || assess(r, params))).collect();
-            let name = |what: &str| format!("estimate, {} recordings of {}: {what}", times.len(), index.display());
-            vec![in_ms(name("mean"), stats::mean(&times)), in_ms(name("90 %"), stats::quantile(&times, 0.9))]
-        }
-        _ => Vec::new(),
-    }
+/// Labelled recordings.
+fn labelled(index: &Path) -> anyhow::Result<Vec<Row>> {
+    let records = evaluate::records(index)?;
+    let times: Vec<f64> = records.iter().map(|(r, params)| cpu::ms(1, || assess(r, params))).collect();
+    let name = |what: &str| format!("estimate, {} recordings of {}: {what}", times.len(), index.display());
+    Ok(vec![in_ms(name("mean"), stats::mean(&times)), in_ms(name("90 %"), stats::quantile(&times, 0.9))])
 }

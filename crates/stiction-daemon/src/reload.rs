@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use crossbeam_channel::{Sender, TrySendError};
+use tokio::sync::Semaphore;
 
 use crate::source::askers::Askers;
 use crate::source::zenoh::Subscriptions;
@@ -17,6 +18,8 @@ use stiction_runtime::view::CurrentConfig;
 
 /// Name of the fault while the file cannot be used.
 const FAULT: &str = "config";
+/// How long the file may take to be read: it may lie on a disk that hangs.
+const READ_WITHIN: Duration = Duration::from_secs(10);
 /// Pause before the engine's queue is tried again.
 const AGAIN_AFTER: Duration = Duration::from_millis(20);
 
@@ -70,9 +73,34 @@ impl ConfigFile {
     }
 }
 
+/// Reads the file on a thread of its own, one at a time: a thread that hangs stays behind until the file answers.
+#[derive(Debug, Clone)]
+struct FileReader {
+    file: ConfigFile,
+    reading: Arc<Semaphore>,
+}
+
+impl FileReader {
+    fn new(file: ConfigFile) -> Self {
+        Self { file, reading: Arc::new(Semaphore::new(1)) }
+    }
+
+    /// As [`ConfigFile::edit_of`].
+    async fn edit(&self, current: Arc<Config>, patience: Duration) -> anyhow::Result<Edit> {
+        let late = || anyhow!("{}: the file has not answered yet", self.file.path.display());
+        let place = self.reading.clone().try_acquire_owned().map_err(|_| late())?;
+        let file = self.file.clone();
+        let read = tokio::task::spawn_blocking(move || {
+            let _place = place;
+            file.edit_of(&current)
+        });
+        tokio::time::timeout(patience, read).await.map_err(|_| late())?.context("the file could not be read")?
+    }
+}
+
 /// Takes edits of the configuration file over, as a whole or not at all.
 pub struct Reload {
-    file: Option<ConfigFile>,
+    file: Option<FileReader>,
     current: CurrentConfig,
     control: Sender<Control>,
     askers: Askers,
@@ -101,7 +129,7 @@ impl Reload {
     #[must_use]
     pub fn new(parts: ReloadParts) -> Self {
         let ReloadParts { file, current, control, askers, subscriptions, faults } = parts;
-        Self { file, current, control, askers, subscriptions, faults }
+        Self { file: file.map(FileReader::new), current, control, askers, subscriptions, faults }
     }
 
     /// Reads the file again and takes over what changed: once this returns, it is in force. A file that cannot be used
@@ -120,8 +148,8 @@ impl Reload {
 
     async fn take_over(&mut self) -> anyhow::Result<ConfigChanges> {
         let file = self.file.as_ref().context("this daemon has no configuration file to read again")?;
-        let edit =
-            file.edit_of(&self.current.get()).context("the changed configuration is not used, the old one holds")?;
+        let edit = file.edit(self.current.get(), READ_WITHIN).await;
+        let edit = edit.context("the changed configuration is not used, the old one holds")?;
         let (changes, config) = (edit.changes.clone(), edit.config.clone());
         let (answer, answered) = tokio::sync::oneshot::channel();
         let answer = Box::new(move || answer.send(()).unwrap_or(()));
@@ -151,6 +179,29 @@ async fn hand_over(control: &Sender<Control>, mut wish: Control) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_that_does_not_answer_is_waited_for_a_while_and_read_once_it_does() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("c.toml");
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let reader = FileReader::new(ConfigFile { path: path.clone(), id: None, shard: None });
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let current = Arc::new(Config::with_prefix("p"));
+        let edit = |ms: u64| runtime.block_on(reader.edit(current.clone(), Duration::from_millis(ms)));
+        for _ in 0..2 {
+            assert!(edit(20).err().unwrap().to_string().contains("c.toml: the file has not answered yet"));
+        }
+        // Whoever opens the other end lets the thread go on.
+        std::fs::write(&path, "").unwrap();
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, "[site]\nprefix = \"p\"\n[[loop]]\nname = \"A\"\n").unwrap();
+        let read = std::iter::from_fn(|| Some(edit(10_000))).find_map(|edit| {
+            std::thread::yield_now();
+            edit.ok()
+        });
+        assert_eq!(read.unwrap().changes.to_string(), "added: A");
+    }
 
     #[test]
     fn a_file_is_used_as_a_whole_or_not_at_all() {

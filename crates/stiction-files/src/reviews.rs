@@ -408,7 +408,8 @@ mod tests {
             fs::write(path, "kept").unwrap();
         }
         let mut all = reviews.all().unwrap();
-        all.extend(names.map(|name| Review { file: name.to_owned(), ..all[0].clone() }));
+        let first = all[0].clone();
+        all.extend(names.map(|name| Review { file: name.to_owned(), ..first.clone() }));
         reviews.write_all(all).unwrap();
         reviews.keep(Review { at: Moment(99 * DAY), ..review("B", None) }, &samples(), 10.0).unwrap();
         assert_eq!(reviews.all().unwrap().len(), 1, "all old ones are gone");

@@ -313,7 +313,8 @@ impl Config {
     /// SHA-256 over all settings (not comments or order of the text), 16 hex digits.
     #[must_use]
     pub fn hash(&self) -> String {
-        let canonical = serde_json::to_vec(self).unwrap_or_default();
+        // A configuration that had no JSON would share its hash with every other such one.
+        let canonical = serde_json::to_vec(self).unwrap_or_else(|_| format!("{self:?}").into_bytes());
         short_hash(&canonical)
     }
 

@@ -12,6 +12,7 @@ mod over_time;
 mod past;
 mod reviews;
 pub mod site;
+mod threads;
 mod window;
 mod worth;
 
@@ -26,6 +27,7 @@ use bytes::Bytes;
 use crossbeam_channel::Sender;
 use tokio::sync::{Semaphore, oneshot};
 
+use self::threads::Threads;
 use super::error::ApiError;
 use super::guard::Guard;
 use super::server::Limits;
@@ -53,8 +55,6 @@ const LOOKS_AT_ONCE: usize = 2;
 const REVIEWS_AT_ONCE: usize = 1;
 const COMPUTATIONS_AT_ONCE: usize = 2;
 const DRAWINGS_AT_ONCE: usize = 1;
-/// How many may wait for any of them.
-const SLOW_WAITING: usize = 64;
 /// How long somebody waits for a disk, with those before, and for what takes a core.
 const DISK_WITHIN: Duration = Duration::from_secs(30);
 const CORE_WITHIN: Duration = Duration::from_secs(55);
@@ -90,11 +90,10 @@ pub struct Live {
     worth: worth::Worth,
     review_rate: Mutex<Rate>,
     started: Instant,
-    looks: Arc<Semaphore>,
-    at_reviews: Arc<Semaphore>,
-    computations: Arc<Semaphore>,
-    drawings: Arc<Semaphore>,
-    waiting: Semaphore,
+    looks: Threads,
+    at_reviews: Threads,
+    computations: Threads,
+    drawings: Threads,
     windows: Semaphore,
     windows_waiting: Semaphore,
     streams: Arc<Limits>,
@@ -122,8 +121,6 @@ impl Live {
         let recordings = Path::new(&fixed.recording.dir);
         let archive = Arc::new(Archive::new(recordings, &fixed.site.prefix));
         let reviews = Reviews::below(recordings);
-        let threads = [LOOKS_AT_ONCE, REVIEWS_AT_ONCE, COMPUTATIONS_AT_ONCE, DRAWINGS_AT_ONCE];
-        let [looks, at_reviews, computations, drawings] = threads.map(|number| Arc::new(Semaphore::new(number)));
         let streams = Limits::new(STREAMS, if guard.behind_proxy { STREAMS } else { STREAMS_PER_HOST });
         let started_ns = now_ns();
         let review_rate = Mutex::new(Rate::new(reviews::PER_MINUTE / 60.0, reviews::AT_ONCE));
@@ -141,11 +138,10 @@ impl Live {
             config,
             started_ns,
             note,
-            looks,
-            at_reviews,
-            computations,
-            drawings,
-            waiting: Semaphore::new(SLOW_WAITING),
+            looks: Threads::new(LOOKS_AT_ONCE, DISK_WITHIN),
+            at_reviews: Threads::new(REVIEWS_AT_ONCE, DISK_WITHIN),
+            computations: Threads::new(COMPUTATIONS_AT_ONCE, CORE_WITHIN),
+            drawings: Threads::new(DRAWINGS_AT_ONCE, CORE_WITHIN),
             windows: Semaphore::new(WINDOWS_AT_ONCE),
             windows_waiting: Semaphore::new(WINDOWS_WAITING),
             streams,
@@ -175,44 +171,6 @@ impl Live {
         Some(last.get(&key)?.document.clone())
     }
 
-    /// Reads recordings on a thread of its own.
-    async fn look_back<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
-        self.in_turn(&self.looks, DISK_WITHIN, work).await
-    }
-
-    /// Computes on a thread of its own.
-    async fn compute<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
-        self.in_turn(&self.computations, CORE_WITHIN, work).await
-    }
-
-    /// Draws on a thread of its own.
-    async fn draw<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
-        self.in_turn(&self.drawings, CORE_WITHIN, work).await
-    }
-
-    /// Works on one of these threads once it is free. Who has waited for too long, or no longer waits, leaves the thread to
-    /// its work: its place is free only when that has ended.
-    async fn in_turn<T: Send + 'static>(
-        &self,
-        threads: &Arc<Semaphore>,
-        patience: Duration,
-        work: impl FnOnce() -> T + Send + 'static,
-    ) -> Result<T, ApiError> {
-        let busy = || ApiError::busy("too many wait for pictures and recordings already: try again in a moment");
-        let failed = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "the request failed; see the daemon's log");
-        let _waiting = self.waiting.try_acquire().map_err(|_| busy())?;
-        let turn = async {
-            let place = threads.clone().acquire_owned().await.map_err(|_| busy())?;
-            let placed = move || {
-                let _place = place;
-                work()
-            };
-            tokio::task::spawn_blocking(placed).await.map_err(failed)
-        };
-        let late = |_| ApiError::busy("the disk or the machine did not answer in time: try again later");
-        tokio::time::timeout(patience, turn).await.map_err(late)?
-    }
-
     /// Refuses what another daemon has to be asked for.
     fn check_shard(&self, loop_name: &str) -> Result<(), ApiError> {
         if self.config.get().shard.owns(loop_name) {
@@ -240,11 +198,12 @@ impl Live {
         let window: Option<WindowSnapshot> = within(ENGINE_WITHIN, told).await?;
         let unknown = || ApiError::not_found(format!("no loop {loop_name:?} has appeared"));
         let WindowSnapshot { snapshot, settings } = window.ok_or_else(unknown)?;
-        self.compute(move || {
-            let record = snapshot.and_then(|snapshot| snapshot.record(&settings.window));
-            Looked { record, settings }
-        })
-        .await
+        self.computations
+            .run(move || {
+                let record = snapshot.and_then(|snapshot| snapshot.record(&settings.window));
+                Looked { record, settings }
+            })
+            .await
     }
 
     /// A person's wish, answered by a document or by what is wrong with it.

@@ -94,20 +94,21 @@ async fn together(
 ) -> Answered<OverTime> {
     let range_ns = range.ns(&live, &name)?;
     let all = live.clone();
-    live.look_back(move || {
-        let (windows, reach) = windows(&all, &name, range_ns);
-        let results: Vec<WindowResult> = windows.into_iter().map(|window| window.result).collect();
-        let found = over_time(&results);
-        Json(OverTime {
-            windows: found.windows,
-            pooled: found.pooled,
-            since_ms: found.since_ns.map(ms_from_ns),
-            changes: found.changes.into_iter().map(Changed::from).collect(),
-            contradicting: found.contradicting.into_iter().map(Contradicts::from).collect(),
-            trend: found.trend,
-            sentences: found.sentences,
-            complete: reach == Reach::All,
+    live.looks
+        .run(move || {
+            let (windows, reach) = windows(&all, &name, range_ns);
+            let results: Vec<WindowResult> = windows.into_iter().map(|window| window.result).collect();
+            let found = over_time(&results);
+            Json(OverTime {
+                windows: found.windows,
+                pooled: found.pooled,
+                since_ms: found.since_ns.map(ms_from_ns),
+                changes: found.changes.into_iter().map(Changed::from).collect(),
+                contradicting: found.contradicting.into_iter().map(Contradicts::from).collect(),
+                trend: found.trend,
+                sentences: found.sentences,
+                complete: reach == Reach::All,
+            })
         })
-    })
-    .await
+        .await
 }

@@ -182,7 +182,8 @@ async fn trend(
     let points = range.points.unwrap_or(POINTS).clamp(2, MOST_POINTS);
     let (archive, config) = (live.archive.clone(), live.config.get());
     let (curves, reach) = live
-        .look_back(move || {
+        .looks
+        .run(move || {
             let signals = [Signal::Op, Signal::Pv, Signal::Sp];
             let (one, reach) = recorded_within(&archive, &name, &signals, [from_ns, to_ns]);
             let joined = Points::of(&name, &one.samples, &config).samples(Section::Whole).unwrap_or_default();
@@ -249,7 +250,7 @@ async fn history(
 ) -> Answered<History> {
     let [from_ns, to_ns] = range.ns(&live, &name)?;
     let all = live.clone();
-    let (windows, reach) = live.look_back(move || windows(&all, &name, [from_ns, to_ns])).await?;
+    let (windows, reach) = live.looks.run(move || windows(&all, &name, [from_ns, to_ns])).await?;
     let complete = reach == Reach::All;
     Ok(Json(History { from_ms: ms_from_ns(from_ns), to_ms: ms_from_ns(to_ns), complete, windows }))
 }
@@ -262,7 +263,8 @@ async fn changes(
     let range_ns = range.ns(&live, &name)?;
     let all = live.clone();
     let (mut changes, reach) = live
-        .look_back(move || {
+        .looks
+        .run(move || {
             let topic = topic::result(all.archive.prefix(), &name, Kind::Alarm);
             documents(&all.archive, topic, range_ns, &all.overview.alarm_changes(&name), |data| {
                 let document: Value = serde_json::from_slice(data).ok()?;

@@ -11,7 +11,7 @@ use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
 use super::curves::recorded;
-use super::{Answered, DISK_WITHIN, Operation, ResponseKind, Shared, of};
+use super::{Answered, Operation, ResponseKind, Shared, of};
 use crate::error::ApiError;
 use crate::extract::{JsonBody, PathName};
 use stiction_core::record::Signal;
@@ -127,7 +127,7 @@ impl From<Review> for DatedReview {
 /// The reviews as their folder has them now.
 pub(super) async fn current(live: &Shared) -> Result<Arc<ReviewList>, ApiError> {
     let of = live.clone();
-    let read = live.in_turn(&live.at_reviews, DISK_WITHIN, move || of.reviews.read()).await?;
+    let read = live.at_reviews.run(move || of.reviews.read()).await?;
     read.map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))
 }
 
@@ -180,10 +180,10 @@ async fn keep(
     };
     let range = [a.window.start_ns, a.window.end_ns];
     let (of, keep_days) = (live.archive.clone(), live.config.get().retention.results_days);
-    let samples = live.look_back(move || recorded(&of, &name, &Signal::ALL, range)).await?;
+    let samples = live.looks.run(move || recorded(&of, &name, &Signal::ALL, range)).await?;
     let of = live.clone();
     let keep = move || of.reviews.keep(review, &samples, keep_days);
-    let kept = live.in_turn(&live.at_reviews, DISK_WITHIN, keep).await?;
+    let kept = live.at_reviews.run(keep).await?;
     let status = |error: &KeepError| match error {
         KeepError::Full(_) => StatusCode::INSUFFICIENT_STORAGE,
         KeepError::System(_) => StatusCode::INTERNAL_SERVER_ERROR,

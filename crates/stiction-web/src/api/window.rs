@@ -161,7 +161,7 @@ async fn window(State(live): State<Shared>, PathName(name): PathName) -> Answere
     let record = looked.record.unwrap_or_else(|| Record::uniform(1.0, Vec::new(), Vec::new()));
     let estimate = live.overview.newest(&name).and_then(|newest| newest.estimate);
     let settings = looked.settings;
-    live.compute(move || Json(window_of(&record, estimate.as_deref(), &settings))).await
+    live.computations.run(move || Json(window_of(&record, estimate.as_deref(), &settings))).await
 }
 
 fn window_of(record: &Record, estimate: Option<&EstimateDocument>, settings: &LoopSettings) -> Window {
@@ -226,7 +226,8 @@ impl Estimated {
 async fn pictures(State(live): State<Shared>, PathName(name): PathName) -> Answered<Pictures> {
     let estimated = live.estimated(&name).await?;
     let drawn = live
-        .draw(move || {
+        .drawings
+        .run(move || {
             let one = estimated.report(&name);
             let subject = Subject {
                 record: &one.record,
@@ -262,7 +263,7 @@ async fn buys(State(live): State<Shared>, PathName(name): PathName) -> Answered<
 pub(super) async fn simulated(live: &Shared, name: &str) -> Result<Result<Repair, NoRepair>, ApiError> {
     let Estimated { document, record, settings } = live.estimated(name).await?;
     let params = RepairParams { op_range: settings.assess.op_range, ..RepairParams::default() };
-    live.compute(move || repair(&record, &document.assessment, &params)).await
+    live.computations.run(move || repair(&record, &document.assessment, &params)).await
 }
 
 async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
@@ -270,7 +271,8 @@ async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<R
     let alarm = live.overview.newest(&name).and_then(|newest| newest.alarm);
     let prefix = live.config.get().site.prefix.clone();
     let made = live
-        .draw(move || {
+        .drawings
+        .run(move || {
             let warnings = alarm.iter().map(|alarm| alarm.line()).collect();
             let (input, command) = (format!("live data of {prefix}"), "taken from the daemon's page".to_owned());
             page(&Report { input, command, warnings, loops: vec![estimated.report(&name)], groups: None })
@@ -288,7 +290,7 @@ async fn samples(live: &Shared, name: &str) -> Result<LoadedLoop, ApiError> {
     let none = || ApiError::not_found(format!("{name}: no window has been answered yet"));
     let window = newest.ok_or_else(none)?.assessment.window;
     let (archive, of) = (live.archive.clone(), name.to_owned());
-    let read = live.look_back(move || recorded(&archive, &of, &Signal::ALL, [window.start_ns, window.end_ns])).await?;
+    let read = live.looks.run(move || recorded(&archive, &of, &Signal::ALL, [window.start_ns, window.end_ns])).await?;
     if read.samples.is_empty() {
         return Err(ApiError::not_found(format!(
             "{name}: the samples of its newest estimate are not in the recordings"
@@ -310,7 +312,7 @@ async fn window_csv(State(live): State<Shared>, PathName(name): PathName) -> Res
         let mut out = Vec::new();
         csv::write(&one.samples, &mut out).map(|_| out)
     };
-    let written = live.compute(write).await?.map_err(|e| ApiError::busy(e.to_string()))?;
+    let written = live.computations.run(write).await?.map_err(|e| ApiError::busy(e.to_string()))?;
     Ok(file(&name, "csv", "text/csv; charset=utf-8", written))
 }
 
@@ -318,7 +320,7 @@ async fn window_mcap(State(live): State<Shared>, PathName(name): PathName) -> Re
     let one = samples(&live, &name).await?;
     let archive = live.archive.clone();
     let write = move || loops_as_recording(archive.prefix(), ["page", "recordings"], &[one]);
-    let written = live.compute(write).await?;
+    let written = live.computations.run(write).await?;
     let bytes = written.map_err(|e| ApiError::busy(format!("the recording cannot be written: {e}")))?;
     Ok(file(&name, "mcap", "application/octet-stream", bytes))
 }

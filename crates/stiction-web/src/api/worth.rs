@@ -131,7 +131,7 @@ fn begin(live: &Shared, tasks: Vec<Task>) {
                 }
                 Task::Compare(review, newest_ns) => {
                     let (of, name) = (live.clone(), review.r#loop.clone());
-                    if let Ok(compared) = live.look_back(move || compared(&of, &review, newest_ns)).await {
+                    if let Ok(compared) = live.looks.run(move || compared(&of, &review, newest_ns)).await {
                         live.worth.known().outcomes.insert(name, compared);
                     }
                 }
