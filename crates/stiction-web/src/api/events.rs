@@ -46,7 +46,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
         method: "get",
         path: "/events",
         summary: "Changes as they come, as server-sent events: site, loops (rows; the first with full: true, which replaces all \
-                  before it), alarm (document), groups (loops were compared), and of one loop samples, estimate and gap (another diagnosis)",
+                  before it, and the plant's headline), alarm (document), groups (loops were compared), and of one loop samples, estimate and gap (another diagnosis)",
         query: &[Parameter { name: "loop", words: "a loop whose samples and estimates are wanted too" }],
         body: None,
         response: ResponseKind::Events,
@@ -139,9 +139,10 @@ impl Watch {
         if parts.is_empty() && (self.full || !gone.is_empty()) {
             parts.push(&[]);
         }
+        let headline = (!parts.is_empty()).then(|| self.live.overview.headline(&self.live.config.get().site.prefix));
         for part in parts {
             let (full, gone) = (std::mem::take(&mut self.full), std::mem::take(&mut gone));
-            let rows = json!({"now_ms": ms_from_ns(now), "full": full, "loops": part, "gone": gone});
+            let rows = json!({"now_ms": ms_from_ns(now), "full": full, "loops": part, "gone": gone, "headline": headline});
             self.ready.push_back(event("loops", &rows));
         }
         self.ready.extend(alarms.iter().map(|document| event("alarm", document.as_ref())));
