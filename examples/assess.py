@@ -64,7 +64,7 @@ shown = slice(None) if found.period_s is None else minutes > minutes.iloc[-1] - 
 figure, (upper, lower) = plt.subplots(2, 1, sharex=True, figsize=(8, 4.5))
 upper.plot(minutes[shown], rows["op"][shown], color=OP_BLUE, drawstyle="steps-post", lw=1.2)
 upper.set_ylabel("OP, %")
-upper.set_title(f"{name}: {found.words}; p {found.p_stiction:.2f}, grade {found.grade}", loc="left")
+upper.set_title(f"{name}: {found.words}; p {found.p_stiction:.2f}, grade {found.grade or '-'}", loc="left")
 lower.plot(minutes[shown], rows["pv"][shown], color=PV_GREEN, lw=1.2, label="PV")
 if "sp" in rows:
     lower.plot(minutes[shown], rows["sp"].ffill()[shown], color=GREY, lw=1, ls="--", label="SP")

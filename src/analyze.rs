@@ -389,7 +389,9 @@ fn estimate(
 ) -> anyhow::Result<ReportedAnswer> {
     let started = Instant::now();
     let cut = args.selection.cut();
-    let found = analysis::estimate(points, section, &cut, asked(args).over(&points.settings.assess)).map_err(told)?;
+    let mut params = asked(args).over(&points.settings.assess);
+    params.op_unit = args.op_unit.clone().or_else(|| one.units[0].clone()).or(params.op_unit);
+    let found = analysis::estimate(points, section, &cut, params).map_err(told)?;
     let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
     warn(&one.name, &found.notes);
     let solver = solving::run(&args.solver, &found.record, &found.options, &found.assessment, bar)?;
@@ -398,8 +400,9 @@ fn estimate(
     let original = asked.then(before).transpose()?;
     let scored = args.score.as_deref().map(|path| scored(path, &found.record, found.options.period_points));
     let answer = found.answer(&one.name, hash, elapsed_ms, solver, scored.transpose()?);
-    let analysis::Estimated { record, params, .. } = found;
-    let looked_at = Analysed { record, original, about: one.about.clone(), units: one.units.clone(), params };
+    let analysis::Estimated { record, params, notes, .. } = found;
+    let notes = points.notes.iter().cloned().chain(notes).collect();
+    let looked_at = Analysed { record, original, about: one.about.clone(), units: one.units.clone(), params, notes };
     Ok(ReportedAnswer { answer, looked_at, place: points.settings.place.clone() })
 }
 

@@ -66,14 +66,13 @@ fn settings(look: &Look, fit: &Fit, score: Option<&str>) -> PyResult<Settings> {
 struct One {
     answer: Answer,
     record: Record,
-    op_range: Option<[f64; 2]>,
     notes: Vec<String>,
 }
 
 impl One {
     fn json_and_text(&self) -> Result<Told, String> {
         let document = serde_json::to_string(&self.answer).map_err(|e| e.to_string())?;
-        Ok((document, said(&self.answer, self.op_range, &self.notes)))
+        Ok((document, said(&self.answer, &self.notes)))
     }
 }
 
@@ -95,15 +94,15 @@ fn one(
     let scored = |file| Scored::of("given", file, &found.record, found.options.period_points);
     let scored = settings.score.as_ref().map(scored).transpose().map_err(|e| format!("score: {e}"))?;
     let answer = found.answer(name, &config.hash(), elapsed_ms, solved, scored);
-    Ok(One { answer, record: found.record, op_range: found.params.op_range, notes })
+    Ok(One { answer, record: found.record, notes })
 }
 
-/// What an answer says in words, JSON; `op_range` is OP's whole range, where it is known.
-pub fn said(answer: &Answer, op_range: Option<[f64; 2]>, notes: &[String]) -> String {
+/// What an answer says in words, JSON.
+pub fn said(answer: &Answer, notes: &[String]) -> String {
     let a = &answer.document.assessment;
     let said = json!({
         "words": words::headline(a), "sureness": words::sureness(a), "reasons": words::evidence(a),
-        "size": words::size(a, op_range), "unknowns": words::unknowns(a, op_range),
+        "size": words::size(a), "unknowns": words::unknowns(a),
         "proposal": words::proposal(a).or_else(|| Action::of(a).map(|action| action.words())), "text": text::answer(answer), "notes": notes, "s0": answer.s0,
     });
     said.to_string()

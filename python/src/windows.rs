@@ -113,7 +113,7 @@ fn one(name: &str, hash: &str, request: &Request, notes: &[String]) -> Result<To
         scored: None,
     };
     let document = serde_json::to_string(&answer.document).map_err(|e| e.to_string())?;
-    Ok((document, said(&answer, request.settings.assess.op_range, notes)))
+    Ok((document, said(&answer, notes)))
 }
 
 /// The combined result of many windows of one valve; both JSON.

@@ -321,7 +321,7 @@ def assessment(
     _phase(axes["phase"], _rows(record.columns), found)
     indicators(found, axes["why"])
     sure = "" if found.p_stiction is None else f"; p of stiction {found.p_stiction:.2f}"
-    if sure and "grade" not in found.words:
+    if sure and found.grade and "grade" not in found.words:
         sure += f", grade {found.grade}"
     figure.align_ylabels([axes["pv"], axes["op"]])
     _head(figure, f"{found.loop}: {found.words}{sure}")

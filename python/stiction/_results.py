@@ -205,7 +205,7 @@ class Assessment:
         )
         return _show.card(self.loop, self.words, [
             ("window, UTC", " to ".join(_show.moment(end) for end in self.window)),
-            ("probability of stiction", None if self.p_stiction is None else f"{self.p_stiction:.2f}, grade {self.grade}"),
+            ("probability of stiction", None if self.p_stiction is None else f"{self.p_stiction:.2f}, grade {self.grade or '-'}"),
             ("s, OP units", _show.estimate(self.s, self.s_interval) if self.stiction and self.s else None),
             ("j, OP units", _show.estimate(self.j, self.j_interval) if self.stiction and self.j is not None else None),
             ("detection limit", None if self.s_detectable is None else _show.number(self.s_detectable)),

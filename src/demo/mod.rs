@@ -111,7 +111,7 @@ async fn watch(
     port: u16,
     for_s: Option<f64>,
     format: Format,
-) -> anyhow::Result<BTreeMap<String, Verdict>> {
+) -> anyhow::Result<BTreeMap<String, Vec<Verdict>>> {
     let limit = async {
         match for_s {
             Some(s) => tokio::time::sleep(Duration::from_secs_f64(s)).await,
@@ -141,7 +141,7 @@ async fn lines(
     config: &Config,
     format: Format,
     ends: impl Future<Output = anyhow::Result<()>>,
-) -> anyhow::Result<BTreeMap<String, Verdict>> {
+) -> anyhow::Result<BTreeMap<String, Vec<Verdict>>> {
     let (found, mut findings) = tokio::sync::mpsc::unbounded_channel();
     let results = topic::plane(&config.site.prefix, "*/*");
     let _subscriber = session

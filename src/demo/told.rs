@@ -9,6 +9,7 @@ use crate::{Format, say};
 use stiction_core::sim::scenario::{Label, LoopSpec, Scenario};
 use stiction_core::units::{duration, format_rfc3339, number};
 use stiction_core::verdict::Verdict;
+use stiction_core::verdict::answer::settled;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
 
@@ -47,12 +48,12 @@ fn truth(spec: &LoopSpec) -> String {
     }
 }
 
-/// Prints an estimate or an alarm, and keeps the newest estimate of each loop.
+/// Prints an estimate or an alarm, and keeps the verdicts of each loop, newest first.
 pub(super) fn finding(
     leaf: &str,
     json: &[u8],
     format: Format,
-    last: &mut BTreeMap<String, Verdict>,
+    last: &mut BTreeMap<String, Vec<Verdict>>,
 ) -> anyhow::Result<()> {
     let kind = Kind::of_document(leaf);
     if !matches!(kind, Some(Kind::Estimate | Kind::Alarm)) {
@@ -88,7 +89,9 @@ pub(super) fn finding(
         band(&d["fd"]),
         period.map_or("-".to_owned(), duration),
     ))?;
-    last.extend(Verdict::deserialize(&d["verdict"]).ok().map(|verdict| (name, verdict)));
+    if let Ok(verdict) = Verdict::deserialize(&d["verdict"]) {
+        last.entry(name).or_default().insert(0, verdict);
+    }
     Ok(())
 }
 
@@ -108,17 +111,24 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
 }
 
 /// The truth next to the last answers.
-pub(super) fn ending(scenario: &Scenario, last: &BTreeMap<String, Verdict>, dir: &str) -> anyhow::Result<()> {
+pub(super) fn ending(scenario: &Scenario, last: &BTreeMap<String, Vec<Verdict>>, dir: &str) -> anyhow::Result<()> {
     say("\nloop     simulated         last answer       agrees")?;
     for spec in &scenario.loops {
         let truth = spec.label.map_or("-", Label::name);
-        let found = last.get(&spec.name).map(|verdict| verdict.name());
+        let found = last.get(&spec.name).and_then(|verdicts| shown(verdicts)).map(Verdict::name);
         say(format!("{:<8} {truth:<17} {:<17} {}", spec.name, found.unwrap_or("no window yet"), agrees(spec, found)))?;
     }
     say(format!(
         "\nRecorded in {dir}. Recompute the same numbers from the recording: stictiond replay {dir} --verify"
     ))?;
     Ok(())
+}
+
+/// What a loop shows: its newest verdict, or the cause that most of its last windows name.
+fn shown(newest_first: &[Verdict]) -> Option<Verdict> {
+    let newest = *newest_first.first()?;
+    let settled = settled(newest_first.iter().copied()).filter(|_| newest.stiction() == Some(false));
+    Some(settled.map_or(newest, |(cause, ..)| cause))
 }
 
 /// Whether an answer is right, and if not, the likely reason.

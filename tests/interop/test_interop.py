@@ -75,7 +75,7 @@ ESTIMATE = {
     "fs_interval": (list, None), "fd_interval": (list, None), "s_interval": (list, None), "j_interval": (list, None),
     "interval_level": (float, None), "j_identifiable": (bool, None), "s_detectable": (float, None),
     "stiction_index": (float, None), "s_over_span": (float, None), "region": (str, None), "strength_by_span": (str, None),
-    "severity_by_range": (str, None), "valve_model": (str, None), "process": (dict, None), "controller": (dict, None),
+    "severity_by_range": (str, None), "op_range": (list, None), "op_unit": (str, None), "valve_model": (str, None), "process": (dict, None), "controller": (dict, None),
     "indicators": list, "elapsed_ms": (None,), "version": str, "config_hash": str,
 }
 WINDOW = {"start_ns": int, "end_ns": int, "samples": int, "ts_s": float}
@@ -91,7 +91,7 @@ ALARM = {
     "schema": str, "loop": str, "alarm": str, "event_id": str, "occurrence_id": (str, None), "event": str, "state": str,
     "active": bool, "priority": (str, None), "criticality": (int, None), "area": (str, None), "equipment": (str, None),
     "ne107": str, "class": (str, None), "unit": str, "verdict": (str, None), "s": (float, None),
-    "s_interval": (list, None), "s_limit": (float, None), "p": (float, None), "stiction_index": (float, None),
+    "s_interval": (list, None), "s_limit": (float, None), "p": (float, None), "size": (str, None), "limit": (str, None), "probability": (str, None), "stiction_index": (float, None),
     "window": (dict, None), "why": (str, None), "what_to_do": (str, None), "since_ns": (int, None),
     "since": (str, None), "changed_ns": int, "changed": str, "by": (str, None), "detail": str,
     "acknowledged": (dict, None), "shelved": (dict, None), "suppressed": (dict, None), "out_of_service": (dict, None),

@@ -32,7 +32,7 @@ fn window(end_ns: i64, vote: Option<char>, class: usize) -> Assessment {
         Some(_) => (Verdict::Stiction, 0.9),
         None => (Verdict::Inconclusive, 0.0),
     };
-    (a.verdict, a.stiction, a.s, a.strength_by_span) = (verdict, verdict.stiction(), Some(s), Some(CLASSES[class]));
+    (a.verdict, a.stiction, a.s, a.severity_by_range) = (verdict, verdict.stiction(), Some(s), Some(CLASSES[class]));
     a
 }
 

@@ -54,6 +54,7 @@ fn group(p_follower: f64) -> GroupDocument {
         masked: p_source < 0.5,
     };
     GroupDocument {
+        same_record: Vec::new(),
         schema: GROUP_SCHEMA,
         members: vec!["SOURCE".to_owned(), "FOLLOWER".to_owned()],
         source: Source {

@@ -103,7 +103,7 @@ fn an_alarm_whose_newest_window_finds_nothing_stays_in_the_list_and_no_valve_is_
     let work = rank(&[unseen], &BTreeMap::new()).remove(0);
     assert_eq!(work.what_to_do, "Do a test.");
     assert!(work.sure.contains("not seen") && work.sure.contains("still active"), "{}", work.sure);
-    assert!(work.sure.contains("driven by A, p 0.94: repair the source first"), "{}", work.sure);
+    assert!(work.sure.contains("Driven by A, p 0.94: repair the source first"), "{}", work.sure);
     assert!(!work.pending && work.s.is_none() && !work.sure.contains("healthy"));
 }
 

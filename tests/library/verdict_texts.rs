@@ -3,6 +3,7 @@
 use std::fs;
 
 use stiction_core::verdict::texts::ALL;
+use stiction_monitor::status::Sign;
 
 #[test]
 fn the_page_and_the_documentation_say_what_the_list_says() {
@@ -10,9 +11,14 @@ fn the_page_and_the_documentation_say_what_the_list_says() {
         format!("  {}: {{ short: {:?}, words: {:?} }},\n", t.id, t.short, t.sentence)
     };
     let entries: String = ALL.iter().map(entry).collect();
+    let sign = |sign: Sign| {
+        let [name, says] = sign.words();
+        format!("  {}: {{ name: {name:?}, says: {says:?} }},\n", sign.id())
+    };
+    let signs: String = Sign::ALL.into_iter().map(sign).collect();
     let page = format!(
-        "// The texts of verdicts, from crates/stiction-core/src/verdict/texts.rs; a test compares them.\n\nexport const VERDICTS = \
-         {{\n{entries}}};\n"
+        "// The texts of verdicts and of NE 107's signs, from the program's own lists; a test compares them.\n\nexport const VERDICTS = \
+         {{\n{entries}}};\n\nexport const SIGNS = {{\n{signs}}};\n"
     );
     assert_eq!(fs::read_to_string("crates/stiction-web/src/assets/verdicts.js").unwrap(), page);
     let documented = fs::read_to_string("docs/verdicts.md").unwrap();

@@ -16,7 +16,8 @@ def work(rank, name, area):
     return {
         "rank": rank, "loop": name, "area": area, "equipment": f"V-{rank}", "criticality": 3, "alarm": True, "p_stiction": 0.9,
         "grade": "A", "s": 4.0, "op_unit": "%", "s_trend": None, "removed": None, "pending": False, "window_end_ms": 1.7e12,
-        "cost": 0.5, "what_to_do": "Do a bump test.", "why": "Criticality 3 of 5; a repair removes half.", "sure": "Very likely.",
+        "probability": "p 0.90", "size": "4 (3.8 to 4.2) % of travel", "benefit": "40 to 60 % less PV variation",
+        "next_step": "bump test, then inspect", "cost": 0.5, "what_to_do": "Do a bump test.", "why": "Criticality 3 of 5; a repair removes half.", "sure": "Very likely.",
     }
 
 
@@ -44,7 +45,12 @@ def test_the_list_groups_by_area_and_shows_what_work_brought(plant, open_page, a
     expect(page.locator("nav a[aria-current=page]")).to_have_text("Maintenance")
     entries = page.locator(".work")
     expect(entries.nth(0).locator("a")).to_have_text(NAME)
-    expect(entries.nth(1)).to_contain_text("Do a bump test.")
+    for part in ("4 (3.8 to 4.2) % of travel", "p 0.90", "40 to 60 % less PV variation", "bump test, then inspect"):
+        expect(entries.nth(1)).to_contain_text(part)
+    # The sentences come on a click.
+    expect(page.get_by_text("Do a bump test.").nth(1)).to_be_hidden()
+    page.get_by_role("button", name="Details of B").click()
+    expect(page.get_by_text("Do a bump test.").nth(1)).to_be_visible()
     expect(page.locator("tr[data-loop=FIC9]")).to_contain_text("not seen since")
     expect(page.locator("tr[data-loop=FIC9]")).to_contain_text("0.90 → 0.10")
     page.get_by_role("button", name="By area").click()

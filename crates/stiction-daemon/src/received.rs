@@ -13,7 +13,7 @@ use stiction_core::verdict::{Assessment, ESTIMATE_SCHEMA, EstimateDocument, Osci
 use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument, Figures, Marks};
 
 /// NE 107 categories of an alarm.
-const NE107: [&str; 5] = ["ok", "M", "C", "S", "F"];
+const NE107: [&str; 6] = ["none", "ok", "M", "C", "S", "F"];
 /// A word that this version does not know.
 const UNKNOWN: &str = "other";
 
@@ -97,6 +97,8 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
         region: read(d, "region"),
         strength_by_span: read(d, "strength_by_span"),
         severity_by_range: read(d, "severity_by_range"),
+        op_range: read(d, "op_range"),
+        op_unit: read(d, "op_unit"),
         valve_model: read(d, "valve_model"),
         process: read(d, "process"),
         pv_span: read(d, "pv_span"),

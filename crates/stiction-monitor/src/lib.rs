@@ -8,6 +8,7 @@
 //! | [`engine`] | one state machine per loop |
 //! | [`config`] | settings from text, for daemon, engine and alarm |
 //! | [`expectations`] | what the daemon should report of known data |
+//! | [`status`] | how a loop and the plant stand, in one sign and one sentence |
 //! | [`shard`] | which daemon watches which loop |
 //! | [`analysis`] | samples of a recording to the answers of `analyze` and `gap` |
 //!
@@ -25,5 +26,6 @@ pub mod engine;
 pub mod expectations;
 mod hash;
 pub mod shard;
+pub mod status;
 
 pub use hash::short_hash;

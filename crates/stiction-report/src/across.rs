@@ -43,21 +43,33 @@ pub struct Across {
     label: String,
     /// Stamp of the axis' zero, where the axis is seconds and labels are to be times of day.
     start_ns: Option<i64>,
+    /// Whether the axis is seconds: long ones are told in minutes, hours or days.
+    is_time: bool,
     labelled: bool,
+}
+
+/// Unit in which so many seconds are told, and its seconds.
+fn unit_of(width_s: f64) -> (f64, &'static str) {
+    match width_s {
+        w if w > 3.0 * DAY_S => (DAY_S, "d"),
+        w if w > 3.0 * 3_600.0 => (3_600.0, "h"),
+        w if w > 3.0 * 600.0 => (60.0, "min"),
+        _ => (1.0, "s"),
+    }
 }
 
 impl Across {
     /// Values, with what they are and their unit.
     #[must_use]
     pub fn value(label: &str) -> Self {
-        Self { label: label.to_owned(), start_ns: None, labelled: true }
+        Self { label: label.to_owned(), start_ns: None, is_time: false, labelled: true }
     }
 
-    /// Seconds from a stamp: times in UTC where it is a date, else seconds.
+    /// Seconds from a stamp: times in UTC where it is a date, else the time from the start.
     #[must_use]
     pub fn time_from(start_ns: i64) -> Self {
         let start_ns = is_date(start_ns).then_some(start_ns);
-        Self { start_ns, ..Self::value("time from the section's start, s") }
+        Self { start_ns, is_time: true, ..Self::value("time from the section's start") }
     }
 
     /// The same axis of a panel above the lowest.
@@ -75,6 +87,7 @@ impl Across {
     pub(super) fn title(&self, [from, to]: [f64; 2]) -> String {
         match self.start_ns {
             _ if !self.labelled => String::new(),
+            None if self.is_time => format!("{}, {}", self.label, unit_of(to - from).1),
             None => self.label.clone(),
             Some(start_ns) => {
                 let [first, last] = [from, to].map(|s| format_rfc3339(start_ns + ns_from_s(s))[..10].to_owned());
@@ -85,7 +98,11 @@ impl Across {
 
     /// Where labels and lines stand on an axis so many pixels wide.
     pub(super) fn ticks(&self, x: [f64; 2], pixels: u32) -> Vec<f64> {
-        let Some(start_ns) = self.start_ns else { return ticks(x, (pixels / LABEL).clamp(2, 14) as usize) };
+        let Some(start_ns) = self.start_ns else {
+            let unit_s = if self.is_time { unit_of(x[1] - x[0]).0 } else { 1.0 };
+            let at = ticks(x.map(|end| end / unit_s), (pixels / LABEL).clamp(2, 14) as usize);
+            return at.into_iter().map(|t| t * unit_s).collect();
+        };
         let wide = if x[1] - x[0] > DAY_S { LONG_LABEL } else { LABEL };
         let step_s = clock_step_s(x, (pixels / wide).clamp(2, 14));
         // Whole steps of the clock, not of the record.
@@ -101,7 +118,10 @@ impl Across {
     pub(super) fn tick(&self, value: f64, x: [f64; 2]) -> String {
         match self.start_ns {
             _ if !self.labelled => String::new(),
-            None => tick(value, x[1] - x[0]),
+            None => {
+                let unit_s = if self.is_time { unit_of(x[1] - x[0]).0 } else { 1.0 };
+                tick(value / unit_s, (x[1] - x[0]) / unit_s)
+            }
             Some(start_ns) => {
                 let stamp = format_rfc3339(start_ns + ns_from_s(value.round()));
                 match x[1] - x[0] {
@@ -202,9 +222,12 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_starts_at_zero_is_seconds() {
+    fn a_clock_that_starts_at_zero_is_told_in_the_unit_of_its_length() {
         let across = Across::time_from(0);
         assert_eq!(across.tick(600.0, [0.0, 1_200.0]), "600");
         assert_eq!(across.title([0.0, 1_200.0]), "time from the section's start, s");
+        let days = [0.0, 432_000.0];
+        let said: Vec<String> = across.ticks(days, 400).iter().map(|t| across.tick(*t, days)).collect();
+        assert_eq!((said.join(" ").as_str(), across.title(days).as_str()), ("0 1 2 3 4 5", "time from the section's start, d"));
     }
 }

@@ -3,8 +3,9 @@
 use maud::{Markup, html};
 
 use super::Report;
-use stiction_core::plantwide::{GroupDocument, SourceKind, of_member};
+use stiction_core::plantwide::{GroupDocument, headline, of_member};
 use stiction_core::units::{duration, number, probability};
+use stiction_core::verdict::words::capital;
 
 /// A card per group; one that says so where the loops were compared and share none.
 pub(super) fn cards(report: &Report) -> Markup {
@@ -21,7 +22,7 @@ fn card(report: &Report, group: &GroupDocument) -> Markup {
     let source = &group.source;
     html! {
         section.card {
-            h2 { (headline(group)) }
+            h2 { (capital(&headline(group))) }
             p.soft {
                 (group.members.len()) " loops oscillate together, period " (duration(group.period_s))
                 "; probability that chance links them " (probability(group.p_value)) "."
@@ -52,16 +53,5 @@ fn link(report: &Report, name: &str) -> Markup {
     match report.loops.iter().position(|l| l.document.loop_name == name) {
         Some(k) => html! { a href=(format!("#loop-{k}")) { (name) } },
         None => html! { (name) },
-    }
-}
-
-fn headline(group: &GroupDocument) -> String {
-    let p = probability(group.source.probability);
-    match (group.source.kind, &group.source.loop_name) {
-        (SourceKind::Loop, Some(name)) => format!("{name} makes the oscillation of its group, p {p}"),
-        (SourceKind::Outside, _) => format!("None of these loops makes their oscillation, p {p}: look upstream"),
-        (SourceKind::Several, _) => "More than one of these loops may make the oscillation".to_owned(),
-        (_, Some(name)) => format!("The windows do not show which loop makes the oscillation; {name} is the likeliest"),
-        (_, None) => "The windows do not show which loop makes the oscillation".to_owned(),
     }
 }

@@ -45,21 +45,12 @@ pub struct LoopReport {
     pub tags: Tags,
     /// What the file says about the loop.
     pub comment: Option<String>,
-    /// OP's range, where it is known.
-    pub op_range: Option<[f64; 2]>,
+    /// What a reader of its data should know: samples that were skipped, gaps, repeated stamps.
+    pub notes: Vec<String>,
     /// Whether its pictures are drawn in full even where nothing was fitted.
     pub full: bool,
     /// What its detailed pictures show; `None` where it is shown in short or nothing was fitted.
     pub detail: Option<Detail>,
-}
-
-impl LoopReport {
-    /// s in % of travel.
-    #[must_use]
-    pub fn percent(&self) -> Option<f64> {
-        let [low, high] = self.op_range?;
-        self.document.assessment.s.map(|s| 100.0 * s / (high - low).abs())
-    }
 }
 
 /// Everything that a report shows.

@@ -22,6 +22,8 @@ pub struct Analysed {
     pub units: [Option<String>; 2],
     /// What the fit was told.
     pub params: AssessParams,
+    /// What a reader of the data should know, one line each.
+    pub notes: Vec<String>,
 }
 
 /// A report in the making.
@@ -46,7 +48,7 @@ impl Maker {
 
     /// Adds what was made of one loop or section.
     pub fn add(&mut self, document: EstimateDocument, of: Analysed) {
-        let Analysed { record, original, about, units, params } = of;
+        let Analysed { record, original, about, units, params, notes } = of;
         let mut tags = Tags::of_loop(&document.loop_name, record.sp.is_some(), record.mv.is_some());
         let mut comment = None;
         if let Some(About { tags: [op, pv], comment: noted, .. }) = about {
@@ -58,8 +60,7 @@ impl Maker {
                 unit.clone_from(known);
             }
         }
-        let op_range = params.op_range;
-        let one = LoopReport { op_range, document, record, original, tags, comment, full: self.all, detail: None };
+        let one = LoopReport { notes, document, record, original, tags, comment, full: self.all, detail: None };
         self.loops.push((one, params));
     }
 

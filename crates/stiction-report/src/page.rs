@@ -11,8 +11,8 @@ use super::ink;
 use super::plot::PlotError;
 use super::{LoopReport, Report};
 use stiction_core::units::{duration, from_to, number};
-use stiction_core::verdict::words;
-use stiction_core::verdict::{Assessment, Verdict};
+use stiction_core::verdict::answer::Answer;
+use stiction_core::verdict::{Assessment, Verdict, texts, words};
 
 /// The whole page.
 ///
@@ -62,6 +62,10 @@ pub(super) fn whole(title: &str, [input, command]: [&str; 2], body: &Markup, rem
                 }
                 main {
                     (body)
+                    section.card.sign-off {
+                        h2 { "Sign-off" }
+                        dl { @for line in ["Date", "Author", "Work order", "Checked on site, result", "Signature"] { dt { (line) } dd.line { "\u{a0}" } } }
+                    }
                     section.card {
                         h2 { "How this report was made" }
                         pre { code { (command) } }
@@ -92,9 +96,8 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
             div.scroll {
                 table.overview {
                     thead { tr {
-                        th { "loop" } th { "verdict" } th.number { "p" } th.more { "grade" } th.number { "s (OP)" }
-                        th.number.more { "90 %" } th.number.more { "% of travel" } th.number.more { "period, s" }
-                        th.more { "gates" }
+                        th { "loop" } th { "verdict" } th.number { "stiction" } th.more { "grade" } th.number { "s (90 %)" }
+                        th.number.more { "period" } th.more { "limits" }
                     } }
                     tbody {
                         @for &k in order {
@@ -103,14 +106,12 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
                             tr {
                                 td.name { a href=(format!("#loop-{k}")) { (one.document.loop_name) } }
                                 td { (badge(a.verdict)) }
-                                td.number { (words::seen(a)) }
-                                td.more { @if let Some(grade) = a.grade { (grade) } }
-                                @let sized = a.stiction == Some(true);
-                                td.number { @if words::at_bound(a) && sized { "at least " (least(a)) } @else { (optional(a.s.filter(|_| sized))) } }
-                                td.number.more { @if let Some([low, high]) = a.s_interval.filter(|_| sized) { (number(low)) " to " (number(high)) } }
-                                td.number.more { (optional(one.percent().filter(|_| sized))) }
-                                td.number.more { (optional(a.oscillation.period_s)) }
-                                td.more { (a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(", ")) }
+                                @let answer = Answer::of(a);
+                                td.number { (answer.probability) }
+                                td.more { (answer.grade.map_or_else(|| NONE.to_owned(), String::from)) }
+                                td.number { (answer.size.unwrap_or_else(|| NONE.to_owned())) }
+                                td.number.more { (a.oscillation.period_s.map_or_else(|| NONE.to_owned(), duration)) }
+                                td.more { (a.gates.iter().map(|g| g.name().replace('_', " ")).collect::<Vec<_>>().join(", ")) }
                             }
                         }
                     }
@@ -120,22 +121,16 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
     }
 }
 
-/// The least size that a 90 % interval leaves possible.
-fn least(a: &Assessment) -> String {
-    optional(a.s_interval.map(|[low, _]| low).or(a.s))
-}
+/// What stands where there is nothing.
+const NONE: &str = "\u{2013}";
 
 pub(super) fn optional(value: Option<f64>) -> String {
-    value.map_or_else(|| "\u{2013}".to_owned(), number)
+    value.map_or_else(|| NONE.to_owned(), number)
 }
 
 fn badge(v: Verdict) -> Markup {
-    let class = match v.stiction() {
-        Some(true) => "badge bad",
-        Some(false) => "badge good",
-        None => "badge open",
-    };
-    html! { span class=(class) { (v.name().replace('_', " ")) } }
+    let class = if v.stiction() == Some(true) { "badge bad" } else { "badge open" };
+    html! { span class=(class) { (texts::of(v).short) } }
 }
 
 /// One loop, collapsible; open where it is the only one.
@@ -154,10 +149,9 @@ fn section(one: &LoopReport, k: usize, open: bool) -> Result<Markup, PlotError> 
         details.loop open[open] {
             summary {
                 span.name { (one.document.loop_name) } " " (badge(a.verdict))
-                span.soft { " " (words::seen(a)) }
-                @if let Some(s) = a.s.filter(|_| a.stiction == Some(true)) {
-                    span.soft { " s " @if words::at_bound(a) { "at least " (least(a)) } @else { (number(s)) } }
-                }
+                @let answer = Answer::of(a);
+                span.soft { " " (answer.probability) }
+                @if let Some(size) = answer.size { span.soft { " s " (size) } }
             }
             div id=(format!("loop-{k}")) {
                 (summary(one, a))
@@ -184,13 +178,13 @@ pub(super) fn picture(figure: &Figure) -> Markup {
 fn summary(one: &LoopReport, a: &Assessment) -> Markup {
     let w = &a.window;
     let evidence = words::evidence(a);
-    let unknown = words::unknowns(a, one.op_range);
+    let unknown = words::unknowns(a);
     let bump = words::bump_test(a);
     html! {
         section.card {
             p.headline { (badge(a.verdict)) " " (words::capital(&words::headline(a))) "." }
             dl {
-                @if let Some(size) = words::size(a, one.op_range).filter(|_| a.stiction == Some(true)) {
+                @if let Some(size) = words::size(a).filter(|_| a.stiction == Some(true)) {
                     dt { "Size" } dd { (words::capital(&size)) "." }
                 }
                 dt { "How sure" } dd { (words::sureness(a)) }
@@ -212,6 +206,7 @@ fn summary(one: &LoopReport, a: &Assessment) -> Markup {
                     }
                     "."
                     @if let Some(comment) = &one.comment { " " (comment) }
+                    @for note in &one.notes { p.soft { (words::capital(note)) "." } }
                 }
             }
         }

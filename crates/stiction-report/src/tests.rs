@@ -15,7 +15,7 @@ fn report(names: &[&str]) -> Report {
         original: None,
         tags: Tags::of_loop(name, false, false),
         comment: Some(format!("comment of {name}")),
-        op_range: Some([0.0, 50.0]),
+        notes: vec![format!("samples of {name} skipped")],
         full: false,
         detail: None,
     };
@@ -49,6 +49,14 @@ fn axes_have_the_units_that_were_said() {
     let html = page(&report).unwrap();
     assert!(html.contains(">%</text>") && html.contains(">m3/h &lt;wet&gt;</text>"));
     assert!(!html.contains("PV units</text>") && !html.contains("OP units</text>"));
+}
+
+#[test]
+fn skipped_samples_stand_in_the_page_and_a_person_can_sign_it() {
+    let html = page(&report(&["FIC101"])).unwrap();
+    for part in ["Samples of FIC101 skipped.", "Work order", "Signature", "Date"] {
+        assert!(html.contains(part), "{part}");
+    }
 }
 
 #[test]

@@ -8,8 +8,9 @@ use serde::Serialize;
 
 use stiction_core::repair::Repair;
 use stiction_core::units::{ms_from_ns, probability};
-use stiction_core::verdict::action::{Action, what_to_do};
-use stiction_core::verdict::{Assessment, words};
+use stiction_core::verdict::action::{Action, Confirm, what_to_do};
+use stiction_core::verdict::{Assessment, answer, words};
+use stiction_core::verdict::words::capital;
 use stiction_monitor::alarm::Priority;
 
 use super::overview::Candidate;
@@ -53,10 +54,14 @@ pub struct Work {
     pub alarm: bool,
     /// Probability that the valve sticks, of the newest window with an answer.
     pub p_stiction: Option<f64>,
-    /// Grade of the newest window.
+    /// The same in words.
+    pub probability: Option<String>,
+    /// Grade of the newest window, where it finds stiction.
     pub grade: Option<char>,
     /// Dead band plus stick band of the newest window that finds stiction, OP units.
     pub s: Option<f64>,
+    /// The same with its interval, in the unit in which sizes are told.
+    pub size: Option<String>,
     /// Unit of `s`.
     pub op_unit: Option<String>,
     /// Trend of s: `rising`, `falling`, `steady`.
@@ -69,6 +74,10 @@ pub struct Work {
     pub window_end_ms: Option<f64>,
     /// What the rank follows: share removed (one half where not known) x probability x weight of the grade x trend x criticality / 3.
     pub cost: f64,
+    /// What a repair brings, in a few words.
+    pub benefit: String,
+    /// The next step, in a few words.
+    pub next_step: &'static str,
     /// What to do.
     pub what_to_do: String,
     /// Why it is worth it.
@@ -102,7 +111,7 @@ impl<'a> Known<'a> {
     }
 
     fn grade(&self) -> Option<char> {
-        self.answered.and_then(|a| a.grade)
+        self.answered.and_then(answer::grade)
     }
 
     /// Cost of leaving the valve as it is, without a unit.
@@ -130,6 +139,26 @@ impl<'a> Known<'a> {
         let unit = self.candidate.place.op_unit.as_deref().unwrap_or("OP units");
         let of_estimate = || estimate.map(|a| Action::of(a).map_or_else(|| what_to_do(a), |action| action.alone(unit)));
         alarm.and_then(|alarm| alarm.what_to_do.clone()).or_else(of_estimate).unwrap_or_default()
+    }
+
+    /// How the band is confirmed, or what is waited for.
+    fn next_step(&self) -> &'static str {
+        let alarm = self.candidate.alarm.as_deref().filter(|alarm| alarm.active).and_then(|alarm| alarm.action);
+        match alarm.or_else(|| self.answered.and_then(Action::of)).map(|action| action.confirm) {
+            Some(Confirm::Bump(_)) => "bump test, then inspect",
+            Some(Confirm::Otherwise(_)) => "valve signature or position trend, then inspect",
+            None => "wait for more windows",
+        }
+    }
+
+    fn benefit(&self, benefit: Option<&Benefit>, pending: bool) -> String {
+        match benefit {
+            Some(Ok(Removed { interval: [low, high], .. })) => {
+                format!("{:.0} to {:.0} % less PV variation", 100.0 * low, 100.0 * high)
+            }
+            None if pending => "being computed".to_owned(),
+            Some(Err(_)) | None => "not known".to_owned(),
+        }
     }
 
     fn why(&self, benefit: Option<&Benefit>, pending: bool) -> String {
@@ -184,10 +213,11 @@ impl<'a> Known<'a> {
             _ => {}
         }
         if let Some(driven) = &self.candidate.driven {
-            text += &format!(" The loop is {driven}: repair the source first.");
+            let first = if driven.starts_with("driven by") { ": repair the source first" } else { "" };
+            text += &format!(" {}{first}.", capital(driven));
         }
         if self.candidate.silent {
-            text += " No new data come.";
+            text += " No new data.";
         }
         text
     }
@@ -204,7 +234,9 @@ impl<'a> Known<'a> {
             criticality: candidate.place.criticality,
             alarm: candidate.alarm.as_deref().is_some_and(|alarm| alarm.active),
             p_stiction: self.p,
+            probability: self.answered.map(words::seen).or_else(|| self.p.map(|p| format!("p {}", probability(p)))),
             grade: self.grade(),
+            size: self.answered.and_then(answer::size),
             s: self.answered.filter(|a| a.stiction == Some(true)).map_or_else(of_alarm, |a| a.s),
             op_unit: candidate.place.op_unit.clone(),
             s_trend: candidate.s_trend,
@@ -212,6 +244,8 @@ impl<'a> Known<'a> {
             pending,
             window_end_ms: candidate.estimate.as_deref().map(|e| ms_from_ns(e.assessment.window.end_ns)),
             cost: self.cost(benefit),
+            benefit: self.benefit(benefit, pending),
+            next_step: self.next_step(),
             what_to_do: self.what_to_do(),
             why: self.why(benefit, pending),
             sure: self.sure(),

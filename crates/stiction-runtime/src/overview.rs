@@ -19,9 +19,11 @@ use serde::Serialize;
 
 use stiction_core::ident::region::{Region, Size};
 use stiction_core::units::{ms_from_ns, s_from_ns};
-use stiction_core::verdict::{EstimateDocument, Gate, Verdict, words};
+use stiction_core::verdict::answer::Standing;
+use stiction_core::verdict::{EstimateDocument, Gate, Verdict};
 use stiction_monitor::alarm::{AlarmDocument, LoopContext, Priority, State};
 use stiction_monitor::engine::LoopFigures;
+use stiction_monitor::status::{Headline, InPlant, Known, LoopStatus, Sign};
 
 pub use candidates::Candidate;
 pub use groups::{Membership, ShownGroup, ShownGroups};
@@ -70,21 +72,32 @@ pub struct Row {
     pub equipment: Option<String>,
     pub criticality: Option<u8>,
     pub op_unit: Option<String>,
-    /// NAMUR NE 107: `M` maintenance required (the alarm is active), `S` out of specification (the loop oscillates by tuning or
-    /// from outside, or its valve sticks without an alarm), `C` function check (out of service, or in manual), `F` failure of a signal, `ok`;
-    /// null while nothing is known.
-    pub ne107: Option<&'static str>,
-    /// The same in words, one line.
+    /// NAMUR NE 107: `M` maintenance required (the alarm is active), `F` failure of a signal, `S` out of specification (the
+    /// loop oscillates, or its valve sticks without an alarm), `C` function check (out of service, or in manual), `none` (nothing
+    /// was found); null while there is no answer.
+    pub ne107: Option<Sign>,
+    /// Why, in one line.
     pub status: String,
+    /// What the loop shows: the verdict of its newest window, or the cause that most of its last ones name.
     pub verdict: Option<Verdict>,
+    /// What the newest window says of stiction: `sticks`, `suspected`, `open`, `not_seen` or `no_answer`.
+    pub standing: Standing,
+    /// Whether that is an answer of an earlier run, or older than the data that should have come.
+    pub stale: bool,
+    /// Whether a signal has failed or no newer sample comes, whatever `ne107` says.
+    pub failed: bool,
+    /// How pressing it is: greater comes first.
+    pub urgency: f64,
     pub stiction: Option<bool>,
     pub p_stiction: Option<f64>,
+    /// The probability in words, such as `not seen (p 0.12)`.
+    pub probability: Option<String>,
     pub confidence: Option<f64>,
     pub grade: Option<char>,
     pub s: Option<f64>,
     pub s_interval: Option<[f64; 2]>,
-    /// Whether s or its interval reaches its bound, OP's span: then s is at least the interval's lower end.
-    pub s_at_least: bool,
+    /// s with its interval and unit, where stiction was found.
+    pub size: Option<String>,
     pub region: Option<Region>,
     pub strength_by_span: Option<Size>,
     pub severity_by_range: Option<Size>,
@@ -147,6 +160,10 @@ struct Entry {
     place: LoopContext,
     estimate: Option<Arc<EstimateDocument>>,
     alarm: Option<Arc<AlarmDocument>>,
+    /// Whether the estimate is one of an earlier run.
+    restored: bool,
+    /// What all of it comes to, made anew with every change.
+    status: LoopStatus,
     cause: Option<String>,
     /// What drives it, by the newest comparison of loops.
     driven: Option<String>,
@@ -213,6 +230,7 @@ impl Loops {
         self.version += 1;
         let entry = self.by_name.entry(name.clone()).or_insert_with(|| Entry::new(place, now));
         change(entry);
+        entry.status = entry.status();
         entry.changed = self.version;
         self.version
     }
@@ -241,6 +259,33 @@ impl Overview {
             entry.limited = obstacles::Since::after(entry.limited.or(earlier), a);
             entry.signals.window(action, a);
             entry.estimate = Some(document);
+            entry.restored = false;
+        });
+    }
+
+    /// What an earlier run knew of a loop last: its newest estimate is shown as an old one until a window of this run has
+    /// come, and a loop that has sent nothing for too long by `now_ns` is silent from the start.
+    pub fn restore(
+        &self,
+        name: &Arc<str>,
+        place: &LoopContext,
+        (now, now_ns): (Instant, i64),
+        document: Arc<EstimateDocument>,
+        newest_ns: Option<i64>,
+    ) {
+        let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
+        loops.change(name, place, now, |entry| {
+            if entry.estimate.is_some() {
+                return;
+            }
+            entry.estimate = Some(document);
+            entry.restored = true;
+            entry.newest_ns = entry.newest_ns.max(newest_ns);
+            let age_s = entry.newest_ns.map(|ns| s_from_ns(now_ns.saturating_sub(ns)).max(0.0));
+            let age = age_s.and_then(|age| Duration::try_from_secs_f64(age).ok()).unwrap_or_default();
+            entry.advanced = now.checked_sub(age).unwrap_or(now);
+            // The machine may have started after the newest sample: no moment of its clock is that old.
+            entry.silent = age > entry.patience();
         });
     }
 
@@ -306,14 +351,17 @@ impl Overview {
         let next = loops.version + 1;
         let mut changed = !loops.by_name.contains_key(name);
         let entry = loops.by_name.entry(name.clone()).or_insert_with(|| Entry::new(place, now));
-        if flow.newest_ns > entry.newest_ns {
+        let is_newer = flow.newest_ns > entry.newest_ns;
+        if is_newer {
             (entry.newest_ns, entry.advanced) = (flow.newest_ns, now);
         }
-        let silent = now.saturating_duration_since(entry.advanced) > entry.patience();
+        // Who was silent is so until a newer sample comes: also over a restart.
+        let silent = !is_newer && (entry.silent || now.saturating_duration_since(entry.advanced) > entry.patience());
         changed |= silent != entry.silent;
         entry.silent = silent;
         (entry.data_gaps, entry.dropped) = (flow.data_gaps, flow.dropped);
         if changed {
+            entry.status = entry.status();
             entry.changed = next;
             loops.version = next;
         }
@@ -355,6 +403,15 @@ impl Overview {
     pub fn row(&self, name: &str, now_ns: i64) -> Option<Row> {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
         loops.by_name.get(name).map(|entry| entry.row(name, now_ns))
+    }
+
+    /// The plant in sentences. `prefix` is under which data are awaited.
+    #[must_use]
+    pub fn headline(&self, prefix: &str) -> Headline {
+        let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
+        let expected = loops.expected.iter().flat_map(|expected| expected.loops());
+        let missing = expected.filter(|(name, _)| !loops.by_name.contains_key(*name)).count();
+        Headline::of(loops.by_name.iter().map(|(name, entry)| entry.in_plant(name)), missing, prefix)
     }
 
     /// One loop's newest documents.
@@ -401,6 +458,8 @@ impl Entry {
             place: place.clone(),
             estimate: None,
             alarm: None,
+            restored: false,
+            status: LoopStatus::of(&Known::default()),
             cause: None,
             driven: None,
             recent: VecDeque::new(),
@@ -425,31 +484,37 @@ impl Entry {
     fn row(&self, name: &str, now_ns: i64) -> Row {
         let a = self.estimate.as_deref().map(|e| &e.assessment);
         let alarm = self.alarm.as_deref();
-        let (ne107, status) = self.status();
+        let status = &self.status;
+        let answer = status.answer.as_ref();
         Row {
             name: name.to_owned(),
             area: self.place.area.clone(),
             equipment: self.place.equipment.clone(),
             criticality: self.place.criticality,
             op_unit: self.place.op_unit.clone(),
-            ne107,
-            status,
-            verdict: a.map(|a| a.verdict),
+            ne107: status.sign,
+            status: status.sentence.clone(),
+            verdict: status.verdict,
+            standing: status.standing(),
+            stale: status.stale,
+            failed: status.failed,
+            urgency: self.in_plant(name).urgency(),
             stiction: a.and_then(|a| a.stiction),
             p_stiction: a.and_then(|a| a.p_stiction),
+            probability: answer.map(|answer| answer.probability.clone()),
             confidence: a.and_then(|a| a.confidence),
-            grade: a.and_then(|a| a.grade),
+            grade: answer.and_then(|answer| answer.grade),
             s: a.and_then(|a| a.s),
             s_interval: a.and_then(|a| a.s_interval),
-            s_at_least: a.is_some_and(words::at_bound),
+            size: answer.and_then(|answer| answer.size.clone()),
             region: a.and_then(|a| a.region),
             strength_by_span: a.and_then(|a| a.strength_by_span),
             severity_by_range: a.and_then(|a| a.severity_by_range),
             period_s: a.and_then(|a| a.oscillation.period_s),
             gates: a.map(|a| a.gates.clone()).unwrap_or_default(),
             alarm_state: alarm.map_or(State::Normal, |d| d.state),
-            active: alarm.is_some_and(|d| d.active),
-            unacknowledged: alarm.is_some_and(|d| matches!(d.state, State::Unack | State::RtnUnack)),
+            active: status.active,
+            unacknowledged: status.unacknowledged,
             priority: alarm.and_then(|d| d.priority),
             class: alarm.and_then(|d| d.class),
             cause: self.cause.clone(),
@@ -464,64 +529,26 @@ impl Entry {
         }
     }
 
-    /// The category of NAMUR NE 107, and why, worst first.
-    fn status(&self) -> (Option<&'static str>, String) {
-        let state = self.alarm.as_deref().map_or(State::Normal, |d| d.state);
-        let active = self.alarm.as_deref().is_some_and(|d| d.active);
-        if state == State::OutOfService {
-            return (Some("C"), "out of service".to_owned());
-        }
-        if self.silent {
-            let more = if active { ", while its stiction alarm is active" } else { "" };
-            return (Some("F"), format!("no new data{more}"));
-        }
-        let Some(a) = self.estimate.as_deref().map(|e| &e.assessment) else {
-            let told = if active { "stiction alarm of an earlier run; no window yet" } else { "waiting for a window" };
-            return (active.then_some("M"), told.to_owned());
-        };
-        let headline = words::claim(a);
-        let has = |gates: &[Gate]| a.gates.iter().find(|g| gates.contains(g)).copied();
-        if let Some(gate) = has(&[Gate::FrozenPv, Gate::FrozenOp, Gate::Swapped, Gate::BadQuality]) {
-            return (Some("F"), words::gate(gate).to_owned());
-        }
-        if let Some(reason) = a.reason.filter(|reason| *reason == "stuck_signal") {
-            return (Some("F"), words::reason(reason));
-        }
-        if active {
-            return (Some("M"), headline);
-        }
-        if has(&[Gate::Manual]).is_some() {
-            return (Some("C"), "the controller is in manual".to_owned());
-        }
-        let (shown, count, of) = settled(&self.recent, a.verdict);
-        let headline = if shown == a.verdict {
-            headline
-        } else {
-            format!("{} ({count} of the last {of} windows)", words::verdict(shown))
-        };
-        match shown {
-            Verdict::Stiction | Verdict::Deadband => (Some("S"), format!("{headline}; no alarm yet")),
-            Verdict::Tuning | Verdict::Disturbance => (Some("S"), headline),
-            Verdict::CauseUnknown | Verdict::NotOscillating => (Some("ok"), headline),
-            Verdict::Inconclusive => (None, a.reason.map_or(headline, words::reason)),
+    fn in_plant<'a>(&'a self, name: &'a str) -> InPlant<'a> {
+        let alarm = self.alarm.as_deref();
+        InPlant {
+            name,
+            status: &self.status,
+            priority: alarm.and_then(|d| d.priority),
+            class: alarm.and_then(|d| d.class),
+            p: self.estimate.as_deref().and_then(|e| e.assessment.p_stiction),
         }
     }
-}
 
-/// The verdict that a loop shows: the most frequent of its newest windows that gave one, the newer where two are; in how many
-/// of how many. A window that finds stiction, or gives no answer, is shown as it is.
-fn settled(recent: &VecDeque<Recent>, newest: Verdict) -> (Verdict, usize, usize) {
-    /// Windows that are looked at.
-    const WINDOWS: usize = 9;
-    if newest.stiction() != Some(false) {
-        return (newest, 1, 1);
+    fn status(&self) -> LoopStatus {
+        LoopStatus::of(&Known {
+            estimate: self.estimate.as_deref().map(|e| &e.assessment),
+            verdicts: self.recent.iter().rev().map(|window| window.verdict).collect(),
+            alarm: self.alarm.as_deref(),
+            silent: self.silent,
+            restored: self.restored,
+        })
     }
-    let last: Vec<Verdict> =
-        recent.iter().rev().map(|w| w.verdict).filter(|v| v.stiction().is_some()).take(WINDOWS).collect();
-    let count = |v: Verdict| last.iter().filter(|other| **other == v).count();
-    // From the oldest, so that of equally frequent ones the newest is kept.
-    let shown = last.iter().rev().copied().max_by_key(|v| count(*v)).unwrap_or(newest);
-    (shown, count(shown), last.len())
 }
 
 /// How s goes over windows: their later half against their earlier one, by twice what the scatter within each explains.

@@ -156,12 +156,12 @@ impl<'b> Bench<'b> {
             model: Some(run.word()),
             document: serde_json::to_value(&answer).map_err(|error| Fault::own(error.to_string()))?,
             text: text::answer(&answer),
-            words: in_words(&answer.document.assessment, params.op_range),
+            words: in_words(&answer.document.assessment),
             notes: self.points.notes.iter().chain(&notes).cloned().collect(),
             ..SectionResult::default()
         };
         let units = self.one.units.clone();
-        let looked_at = Analysed { record, original, about: self.one.about.clone(), units, params };
+        let looked_at = Analysed { record, original, about: self.one.about.clone(), units, params, notes: Vec::new() };
         Ok((answer, looked_at, told))
     }
 
@@ -324,14 +324,14 @@ fn pictures(result: usize, figures: Vec<Figure>, order: Option<u8>) -> Vec<Drawn
 }
 
 /// An estimate as a report puts it.
-fn in_words(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<Said> {
+fn in_words(a: &Assessment) -> Vec<Said> {
     let mut said = vec![Said { about: "Verdict", text: words::headline(a) }];
-    if let Some(size) = words::size(a, op_range).filter(|_| a.stiction == Some(true)) {
+    if let Some(size) = words::size(a).filter(|_| a.stiction == Some(true)) {
         said.push(Said { about: "Size", text: size });
     }
     said.push(Said { about: "How sure", text: words::sureness(a) });
     said.push(Said { about: "What to do", text: words::advice(a) });
     said.extend(words::bump_test(a).into_iter().map(|text| Said { about: "Bump test", text }));
-    said.extend(words::unknowns(a, op_range).into_iter().map(|text| Said { about: "Not known", text }));
+    said.extend(words::unknowns(a).into_iter().map(|text| Said { about: "Not known", text }));
     said
 }

@@ -18,6 +18,10 @@ pub struct GroupDocument {
     pub members: Vec<String>,
     /// What makes the oscillation.
     pub source: Source,
+    /// Members that have one and the same record under several names, such as a file that was sent twice: no source is named
+    /// then. Absent where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub same_record: Vec<String>,
     /// The other members, in the order of `members`.
     pub followers: Vec<Follower>,
     /// Every member as the group judges it, in the order of `members`.
@@ -94,6 +98,14 @@ pub struct Source {
     pub reasons: Vec<String>,
     /// What would settle it, where it cannot be told.
     pub next_test: Option<String>,
+}
+
+impl Source {
+    /// The source of a group in which no loop can be named.
+    pub(super) const fn unnamed() -> Self {
+        let kind = SourceKind::CannotTell;
+        Self { kind, loop_name: None, probability: 0.0, reasons: Vec::new(), next_test: None }
+    }
 }
 
 /// A member that does not make the oscillation.

@@ -18,6 +18,7 @@ mod links;
 mod logit;
 mod order;
 mod pair;
+mod same;
 mod sketch;
 mod source;
 mod words;
@@ -26,7 +27,7 @@ pub use calibration::{Calibration, Chance, Made};
 pub use document::{Follower, GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
 pub use logit::Logit;
 pub use source::{member_figures, source_figures};
-pub use words::{of_member, text};
+pub use words::{headline, of_member, text};
 
 use crate::record::Record;
 use crate::units::Moment;
@@ -170,11 +171,17 @@ impl Group<'_> {
         ranked.sort_by(|a, b| p_source(*b).total_cmp(&p_source(*a)).then(a.cmp(b)));
         let by_evidence = ranked.clone();
         let best = candidates[decision.best];
-        let mut source = words::source(&decision, &evidence[decision.best], self.loops[best].name, period_s);
+        let same_record = self.same_record();
+        let mut source = if same_record.is_empty() {
+            words::source(&decision, &evidence[decision.best], self.loops[best].name, period_s)
+        } else {
+            Source::unnamed()
+        };
         self.put_in_order(&mut ranked, &source, best);
         source.reasons.extend(self.reason_of_order(&by_evidence, &ranked));
         let judged = |member: &usize| {
-            let place = candidates.iter().position(|c| c == member);
+            // Loops with one record say nothing of each other.
+            let place = candidates.iter().position(|c| c == member).filter(|_| same_record.is_empty());
             self.judgement(*member, place, &decision, &source)
         };
         let starts = self.members.iter().map(|m| self.loops[*m].record.start_ns);
@@ -183,6 +190,7 @@ impl Group<'_> {
         Some(GroupDocument {
             schema: GROUP_SCHEMA,
             members: ranked.iter().map(|m| self.loops[*m].name.to_owned()).collect(),
+            same_record: same_record.iter().map(|m| self.loops[*m].name.to_owned()).collect(),
             followers: self.followers(&ranked, best, &source, period_s),
             judgements: ranked.iter().map(judged).collect(),
             source,
@@ -219,6 +227,16 @@ impl Group<'_> {
         Some(format!("{} is listed before {}, as the configuration puts it upstream", name(first), name(passed)))
     }
 
+    /// Members that have the record of another member.
+    fn same_record(&self) -> Vec<usize> {
+        self.members.iter().copied().filter(|member| self.twin_of(*member).is_some()).collect()
+    }
+
+    fn twin_of(&self, member: usize) -> Option<usize> {
+        let is_same = |other: &usize| same::is_same(self.loops[member].record, self.loops[*other].record);
+        self.members.iter().copied().filter(|other| *other != member).find(is_same)
+    }
+
     /// The area that all members are configured to be in.
     fn area(&self) -> Option<String> {
         let of = |member: &usize| self.loops[*member].area;
@@ -228,6 +246,7 @@ impl Group<'_> {
 
     fn judgement(&self, member: usize, place: Option<usize>, decision: &Decision, source: &Source) -> MemberJudgement {
         let l = self.loops[member];
+        let twin = self.twin_of(member).map(|twin| self.loops[twin].name);
         let p_alone = l.assessment.p_stiction.filter(|_| l.assessment.stiction.is_some());
         let is_source = source.kind == SourceKind::Loop && source.loop_name.as_deref() == Some(l.name);
         // A member beyond the candidates is less likely to stick, alone, than each of them.
@@ -239,8 +258,8 @@ impl Group<'_> {
             p_source: place.map_or(0.0, |place| decision.p_source[place]),
             p_alone,
             p_stiction,
-            cause: (!is_source).then(|| words::cause(source)).flatten(),
-            masked: !is_source && (lowered || !called),
+            cause: twin.map_or_else(|| (!is_source).then(|| words::cause(source)).flatten(), |twin| Some(words::twice(twin))),
+            masked: !is_source && twin.is_none() && (lowered || !called),
         }
     }
 
@@ -271,5 +290,33 @@ mod tests {
         assert_eq!(source::names().count(), rules.source.weights.len());
         assert_eq!(member_figures(&figures[0], 0.0, 0.0).len(), rules.member.weights.len());
         assert_eq!(pair::expanded(&[0.0; 11]).len(), rules.link.weights.len());
+    }
+
+    #[test]
+    fn one_record_under_two_names_is_said_and_names_no_source() {
+        let mut seed = 7_u64;
+        let mut noise = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (seed >> 40) as f64 / f64::from(1 << 24) - 0.5
+        };
+        let mut phase = 0.0;
+        let (mut op, mut pv) = (Vec::new(), Vec::new());
+        for _ in 0..2_000 {
+            phase += core::f64::consts::PI / 30.0 * (1.0 + 0.2 * noise());
+            op.push(50.0 + 3.0 * libm::sin(phase) + 0.1 * noise());
+            pv.push(20.0 + libm::sin(phase - 0.8) + 0.1 * noise());
+        }
+        let record = Record::uniform(1.0, op, pv);
+        let assessment = crate::verdict::assess(&record, &crate::verdict::AssessParams::default());
+        let of = |name| PlantLoop { name, record: &record, assessment: &assessment, area: None, upstream: &[] };
+        let groups = assess_plant(&[of("A"), of("B")]);
+        let [group] = &groups[..] else { panic!("{} groups", groups.len()) };
+        assert_eq!((group.source.kind, &group.source.loop_name), (SourceKind::CannotTell, &None));
+        assert_eq!(group.same_record, ["A", "B"]);
+        assert!(headline(group).starts_with("A and B have the same record"), "{}", headline(group));
+        for judged in &group.judgements {
+            assert_eq!((judged.masked, judged.p_stiction), (false, judged.p_alone));
+            assert!(judged.cause.as_ref().is_some_and(|cause| cause.starts_with("recorded twice")), "{judged:?}");
+        }
     }
 }

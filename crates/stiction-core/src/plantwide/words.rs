@@ -6,8 +6,8 @@ use super::source::{Decision, names};
 use crate::units::{duration, number, probability};
 use crate::verdict::MemberJudgement;
 
-/// Probability above which a source is named.
-const NAMED: f64 = 0.5;
+/// Probability from which on a source is named.
+const NAMED: f64 = 0.7;
 /// Reasons given, at most.
 const REASONS: usize = 3;
 /// Periods that a test in manual takes.
@@ -106,6 +106,11 @@ pub(super) fn cause(source: &Source) -> Option<String> {
     }
 }
 
+/// What is said of a member that has the record of another one.
+pub(super) fn twice(twin: &str) -> String {
+    format!("recorded twice, as {twin} too: check the keys of both")
+}
+
 /// A member's part in its group, in a sentence.
 #[must_use]
 pub fn of_member(judged: &MemberJudgement) -> String {
@@ -119,24 +124,41 @@ pub fn of_member(judged: &MemberJudgement) -> String {
 /// What a masked member needs.
 const MASKED: &str = "; masked: judge this loop again once the source is repaired";
 
+/// What makes a group's oscillation, in a sentence for every reader of the group.
+#[must_use]
+pub fn headline(group: &GroupDocument) -> String {
+    let source = &group.source;
+    let p = probability(source.probability);
+    let likeliest = source.loop_name.as_ref().map_or_else(String::new, |name| format!("; {name} is the likeliest"));
+    match (source.kind, &source.loop_name) {
+        _ if !group.same_record.is_empty() => {
+            format!("{} have the same record, so no source is named: check their keys", listed(&group.same_record))
+        }
+        (SourceKind::Loop, Some(name)) => format!("{name} makes the oscillation (p {p})"),
+        (SourceKind::Outside, _) => {
+            format!("none of these loops makes the oscillation (p {p}): look upstream for a common load or a loop that is not recorded")
+        }
+        (SourceKind::Several, _) => format!("more than one of these loops may make the oscillation{likeliest}"),
+        (SourceKind::Loop | SourceKind::CannotTell, _) => {
+            format!("the windows do not show which loop makes the oscillation{likeliest}")
+        }
+    }
+}
+
+/// Names in a sentence.
+fn listed(names: &[String]) -> String {
+    match names {
+        [rest @ .., last] if !rest.is_empty() => format!("{} and {last}", rest.join(", ")),
+        _ => names.join(", "),
+    }
+}
+
 /// A group as lines of text.
 #[must_use]
 pub fn text(group: &GroupDocument) -> String {
     let source = &group.source;
-    let p = probability(source.probability);
-    let name = source.loop_name.as_deref().unwrap_or_default();
-    let headline = match source.kind {
-        SourceKind::Loop => format!("{name} makes the oscillation (p {p})"),
-        SourceKind::Outside => {
-            format!("none of these loops makes the oscillation (p {p}): look for a common load upstream")
-        }
-        SourceKind::Several => format!("more than one of these loops may make the oscillation, {name} most likely"),
-        SourceKind::CannotTell => {
-            format!("the windows do not show which loop makes the oscillation; {name} is the likeliest")
-        }
-    };
     let mut lines = vec![
-        format!("{} loops oscillate together: {headline}", group.members.len()),
+        format!("{} loops oscillate together: {}", group.members.len(), headline(group)),
         format!(
             "  period       {}; probability of a chance group {}",
             duration(group.period_s),
@@ -149,6 +171,7 @@ pub fn text(group: &GroupDocument) -> String {
     for judged in &group.judgements {
         let follower = group.followers.iter().find(|f| f.loop_name == judged.loop_name);
         let role = match follower {
+            None if judged.cause.is_none() && source.kind != SourceKind::Loop => "may be the source".to_owned(),
             None => "source".to_owned(),
             Some(f) => format!("lag {} s, {} % of its power", number(f.lag_s), (100.0 * f.share).round()),
         };

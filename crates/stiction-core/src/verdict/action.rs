@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::answer::{Scale, Standing};
 use super::bump_test::{self, BumpTest, Refusal};
 use super::{Assessment, SCREENED, Verdict, texts};
-use crate::units::number;
 
 /// How the band is confirmed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -93,14 +93,20 @@ pub fn what_to_do(a: &Assessment) -> String {
     if a.stiction.is_none() {
         return texts::capital(better_data(a.reason.unwrap_or_default())) + ".";
     }
-    format!("{}. {}", texts::capital(texts::of(a.verdict).action), limit(a))
+    match (Standing::of(a), a.verdict) {
+        (Standing::Open, Verdict::NotOscillating) => texts::capital(texts::UNDECIDED_ACTION) + ".",
+        (Standing::Open, cause) => {
+            format!("{}. {}.", texts::capital(texts::of(cause).action), texts::capital(texts::UNDECIDED_ACTION))
+        }
+        (_, cause) => format!("{}. {}", texts::capital(texts::of(cause).action), limit(a)),
+    }
 }
 
 /// What a negative result leaves open.
 fn limit(a: &Assessment) -> String {
     match a.s_detectable {
         Some(least) => {
-            format!("A band below {} OP units would not have been found in this record.", number(least))
+            format!("A band below {} would not have been found in this record.", Scale::of(a).told(least))
         }
         None if a.reason == Some(SCREENED) => {
             "The loop is calm and was only screened: this record rules out no band.".to_owned()

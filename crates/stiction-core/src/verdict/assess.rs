@@ -54,6 +54,8 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
     let whole = Assessment {
         gates: first.gates.clone(),
         interval_level: Some(INTERVAL_LEVEL),
+        op_range: params.op_range,
+        op_unit: params.op_unit.clone(),
         ..Assessment::empty(window, describe(first.oscillation().as_ref(), record))
     };
     if let Some(gate) = first.blocking() {
@@ -107,7 +109,7 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
         ..whole
     };
     let Some(e) = fit.filter(|_| judgement.implausible.is_empty()) else {
-        let grade = Some(grade(confidence, !found.gates.is_empty(), None));
+        let grade = found.stiction.and_then(|sticks| grade(sticks, confidence, !found.gates.is_empty(), None));
         return Assessment { grade, contributing: judgement.contributing, implausible: judgement.implausible, ..found };
     };
     let s_detectable = if found.stiction == Some(false) { detectable(answer, e, params) } else { None };
@@ -118,7 +120,7 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
     let width = is_measured.then(|| (measured.s[1] - measured.s[0]) / e.s);
     Assessment {
         contributing: judgement.contributing,
-        grade: Some(grade(confidence, !found.gates.is_empty(), width)),
+        grade: found.stiction.and_then(|sticks| grade(sticks, confidence, !found.gates.is_empty(), width)),
         fs: Some(0.5 * (e.s + e.j)),
         fd: Some(0.5 * (e.s - e.j)),
         s: Some(e.s),

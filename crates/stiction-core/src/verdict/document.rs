@@ -351,7 +351,7 @@ pub struct Assessment {
     pub gates: Vec<Gate>,
     /// Implausible properties of the model or the cycle; the model's numbers are then not given.
     pub implausible: Vec<Implausible>,
-    /// Grade of the answer, A to D.
+    /// Grade of the answer, A to C; `None` where no stiction was found.
     pub grade: Option<char>,
     /// Static band, OP units. The bands measure the valve only where `stiction` is `Some(true)`.
     pub fs: Option<f64>,
@@ -385,6 +385,10 @@ pub struct Assessment {
     pub strength_by_span: Option<Size>,
     /// Class of s by the range of OP, where that is known.
     pub severity_by_range: Option<Size>,
+    /// OP's range, where it is known: sizes are then told in % of it.
+    pub op_range: Option<[f64; 2]>,
+    /// Unit of OP and of the bands, where it is known.
+    pub op_unit: Option<String>,
     /// The valve model that fits better.
     pub valve_model: Option<Law>,
     /// The fitted process.
@@ -433,7 +437,7 @@ impl Assessment {
             confidence: None,
             gates: Vec::new(),
             implausible: Vec::new(),
-            grade: Some('D'),
+            grade: None,
             fs: None,
             fd: None,
             s: None,
@@ -450,6 +454,8 @@ impl Assessment {
             region: None,
             strength_by_span: None,
             severity_by_range: None,
+            op_range: None,
+            op_unit: None,
             valve_model: None,
             process: None,
             pv_span: None,

@@ -14,11 +14,12 @@ impl MemberJudgement {
         match a.stiction {
             Some(true) if !called => {
                 (a.verdict, a.stiction, a.reason) = (Verdict::Inconclusive, None, Some(MASKED));
-                a.grade = Some('D');
             }
             Some(false) if called => (a.verdict, a.stiction) = (Verdict::Stiction, Some(true)),
             _ => {}
         }
+        // The grade is that of the answer that is left: a finding of the group alone has no size of its own to trust.
+        a.grade = a.stiction.filter(|sticks| *sticks).map(|_| a.grade.unwrap_or('C'));
         a.confidence = a.stiction.map(|_| p.max(1.0 - p));
     }
 }

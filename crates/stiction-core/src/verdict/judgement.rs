@@ -107,17 +107,16 @@ fn is_op_held(record: &Record, periods: f64) -> bool {
     repeats > OP_HELD * raw && raw >= DENSE * periods && raw - repeats < FEW_MOVES * periods
 }
 
-/// Grade of an answer: A without checks, with a confidence of at least 0.95 and s known to 15 %; B with at least 0.85 and s
-/// known to 30 %; C for any other answer, D for none. `width` is that of the interval of s relative to s.
+/// Grade of a finding: A without checks, with a confidence of at least 0.95 and s known to 15 %; B with at least 0.85 and s
+/// known to 30 %; C for any other, none where the valve is not said to stick. `width` is that of the interval of s relative to s.
 #[must_use]
-pub(super) fn grade(confidence: Option<f64>, gated: bool, width: Option<f64>) -> char {
+pub(super) fn grade(sticks: bool, confidence: Option<f64>, gated: bool, width: Option<f64>) -> Option<char> {
     let within = |least: f64, widest: f64| confidence.is_some_and(|c| c >= least) && width.is_some_and(|w| w <= widest);
-    match confidence {
-        None => 'D',
-        Some(_) if !gated && within(0.95, 0.15) => 'A',
-        Some(_) if within(0.85, 0.30) => 'B',
-        Some(_) => 'C',
-    }
+    sticks.then(|| match gated {
+        false if within(0.95, 0.15) => 'A',
+        _ if within(0.85, 0.30) => 'B',
+        _ => 'C',
+    })
 }
 
 #[cfg(test)]
@@ -154,11 +153,12 @@ mod tests {
 
     #[test]
     fn grades_ask_for_confidence_and_a_known_size() {
-        assert_eq!(grade(Some(0.97), false, Some(0.1)), 'A');
-        assert_eq!(grade(Some(0.97), true, Some(0.1)), 'B');
-        assert_eq!(grade(Some(0.9), false, Some(0.2)), 'B');
-        assert_eq!(grade(Some(0.99), false, None), 'C');
-        assert_eq!(grade(Some(0.6), false, Some(0.01)), 'C');
-        assert_eq!(grade(None, false, Some(0.01)), 'D');
+        let sticking = |confidence, gated, width| grade(true, Some(confidence), gated, width);
+        assert_eq!(sticking(0.97, false, Some(0.1)), Some('A'));
+        assert_eq!(sticking(0.97, true, Some(0.1)), Some('B'));
+        assert_eq!(sticking(0.9, false, Some(0.2)), Some('B'));
+        assert_eq!(sticking(0.99, false, None), Some('C'));
+        assert_eq!(sticking(0.6, false, Some(0.01)), Some('C'));
+        assert_eq!(grade(false, Some(0.97), false, None), None);
     }
 }

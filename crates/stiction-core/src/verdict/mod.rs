@@ -1,6 +1,7 @@
 //! Judgement on one window: validity checks, fit, verdict, grade.
 
 pub mod action;
+pub mod answer;
 mod assess;
 pub mod bump_test;
 mod cause;

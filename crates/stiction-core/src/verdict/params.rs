@@ -13,6 +13,8 @@ pub struct AssessParams {
     pub min_samples_per_period: f64,
     /// OP's range, for sizes in % of travel.
     pub op_range: Option<[f64; 2]>,
+    /// Unit of OP, for the words.
+    pub op_unit: Option<String>,
     /// Controlled quantity.
     pub kind: LoopKind,
     /// Fit in any case, as `analyze` does; the daemon waits for `min_periods` or as many reversals.
@@ -29,6 +31,7 @@ impl Default for AssessParams {
             min_periods: 5.0,
             min_samples_per_period: 50.0,
             op_range: None,
+            op_unit: None,
             kind: LoopKind::Other,
             always_fit: false,
             screening: true,

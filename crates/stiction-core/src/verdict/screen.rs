@@ -7,7 +7,6 @@
 
 use super::document::{Assessment, Gate, Verdict};
 use super::features::Features;
-use super::judgement::grade;
 use super::rule::Rule;
 use crate::detect::calm;
 use crate::detect::oscillation::{Looks, Oscillates};
@@ -84,7 +83,6 @@ pub(crate) fn answer(whole: Assessment) -> Assessment {
         p_stiction: Some(P_CALM),
         confidence,
         reason: Some(SCREENED),
-        grade: Some(grade(confidence, !whole.gates.is_empty(), None)),
         indicators: Rule::shipped().indicators(&Features::default()),
         ..whole
     }

@@ -86,6 +86,11 @@ pub(crate) const OPEN: &str = "the valve sticks; slip or play cannot be distingu
 pub(crate) const OPEN_ACTION: &str = "confirm the band by a test; then inspect packing, actuator, air supply and positioner (slip), \
      and linkage, gears and positioner feedback (play)";
 
+/// Beside the verdict where the probability is neither that of a finding nor that of an unseen band, and what to do then.
+pub(crate) const UNDECIDED: &str = "whether the valve sticks is open";
+pub(crate) const UNDECIDED_ACTION: &str = "judge further windows, or a record in which OP moves more; if the loop matters, check \
+     the valve by small steps of OP in both directions";
+
 /// With a capital first letter.
 #[must_use]
 pub fn capital(text: &str) -> String {

@@ -4,6 +4,7 @@ use crate::ident::region::Size;
 use crate::people;
 use crate::units::{number, probability};
 use crate::verdict::action::{self, Action};
+use crate::verdict::answer::{self, Scale, Standing};
 use crate::verdict::assess::WHOLE_SWING;
 use crate::verdict::features::OF_THE_FIT;
 pub use crate::verdict::texts::capital;
@@ -20,7 +21,7 @@ pub const fn verdict(v: Verdict) -> &'static str {
 #[must_use]
 pub fn headline(a: &Assessment) -> String {
     let mut text = claim(a);
-    if let (Some(why), Some(grade)) = (reservation(a), a.grade) {
+    if let (Some(why), Some(grade)) = (reservation(a), answer::grade(a)) {
         text = format!("{text} (grade {grade}: {why})");
     }
     text
@@ -29,33 +30,40 @@ pub fn headline(a: &Assessment) -> String {
 /// The headline without its grade.
 #[must_use]
 pub fn claim(a: &Assessment) -> String {
-    match a.stiction {
-        Some(true) => {
-            let suspected = a.explanation.is_some_and(|opinion| !opinion.alarms());
+    match Standing::of(a) {
+        standing @ (Standing::Sticks | Standing::Suspected) => {
             let sentence = if a.j_identifiable == Some(false) { texts::OPEN } else { verdict(a.verdict) };
+            let suspected = standing == Standing::Suspected;
             format!("{}{sentence}", if suspected { "suspected, below the alarm threshold: " } else { "" })
         }
-        Some(false) => format!("{}; {}", verdict(a.verdict), not_seen(a)),
-        None => match a.reason {
+        Standing::Open | Standing::NotSeen => beside_cause(a, a.verdict),
+        Standing::NoAnswer => match a.reason {
             Some(why) => format!("{}: {}", verdict(a.verdict), reason(why)),
             None => verdict(a.verdict).to_owned(),
         },
     }
 }
 
+/// The sentence of an estimate that finds no stiction, under the cause that its loop shows.
+#[must_use]
+pub fn beside_cause(a: &Assessment, cause: Verdict) -> String {
+    let rest = if Standing::of(a) == Standing::Open { texts::UNDECIDED.to_owned() } else { not_seen(a) };
+    format!("{}; {rest}", verdict(cause))
+}
+
 /// What was not found, with the detection limit.
 #[must_use]
 fn not_seen(a: &Assessment) -> String {
     match a.s_detectable {
-        Some(least) => format!("no sign of stiction above {} OP units found", number(least)),
+        Some(least) => format!("no sign of stiction above {} found", Scale::of(a).told(least)),
         None => "no sign of stiction found, detection limit not determinable".to_owned(),
     }
 }
 
-/// What keeps an answer below grade A, in a few words; none for grade A, and where there is no answer.
+/// What keeps a finding below grade A, in a few words; none for grade A, and where no stiction was found.
 #[must_use]
 pub fn reservation(a: &Assessment) -> Option<String> {
-    if a.stiction.is_none() || a.grade == Some('A') || a.grade == Some('D') {
+    if answer::grade(a)? == 'A' {
         return None;
     }
     let mut why: Vec<String> = a.gates.iter().map(|g| g.name().replace('_', " ")).collect();
@@ -64,14 +72,14 @@ pub fn reservation(a: &Assessment) -> Option<String> {
     {
         why.push(format!("p {}", probability(p)));
     }
-    if a.stiction == Some(false) {
-        why.push("a negative result is at most grade C".to_owned());
-    } else if at_bound(a) {
+    if at_bound(a) {
         why.push("s reaches the largest value that OP's span allows".to_owned());
     } else {
         match a.s_interval.zip(a.s) {
             Some(([low, high], s)) if (high - low) / s > 0.15 => {
-                why.push(format!("90 % interval of s {} to {}", number(low), number(high)));
+                let scale = Scale::of(a);
+                let [low, high] = [low, high].map(|end| number(scale.value(end)));
+                why.push(format!("90 % interval of s {low} to {high} {}", scale.unit()));
             }
             None => why.push("no interval of s".to_owned()),
             _ => {}
@@ -111,7 +119,7 @@ pub fn advice(a: &Assessment) -> String {
 /// The bump test of a valve that sticks, a step an item; empty where none is proposed, which [`advice`] says.
 #[must_use]
 pub fn bump_test(a: &Assessment) -> Vec<String> {
-    Action::of(a).map_or_else(Vec::new, |action| action.steps("OP units"))
+    Action::of(a).map_or_else(Vec::new, |action| action.steps(op_unit(a)))
 }
 
 /// The bump test as one text, a numbered step a line; `None` where none is proposed.
@@ -122,15 +130,22 @@ pub fn proposal(a: &Assessment) -> Option<String> {
     (!steps.is_empty()).then(|| numbered.collect::<Vec<_>>().join("\n"))
 }
 
-/// The probability as it is shown: `not seen` below the decision threshold, with the figure behind it.
+/// The probability as it is shown: `not seen` or `open` below the decision threshold, with the figure behind it.
 #[must_use]
 pub fn seen(a: &Assessment) -> String {
     let Some(p) = a.p_stiction.map(probability) else { return "no answer".to_owned() };
-    match a.stiction {
-        Some(true) => format!("p {p}"),
-        Some(false) => format!("not seen (p {p})"),
-        None => format!("no answer (p {p})"),
+    match Standing::of(a) {
+        Standing::Sticks | Standing::Suspected => format!("p {p}"),
+        Standing::Open => format!("open (p {p})"),
+        Standing::NotSeen => format!("not seen (p {p})"),
+        Standing::NoAnswer => format!("no answer (p {p})"),
     }
+}
+
+/// The unit of OP.
+#[must_use]
+pub fn op_unit(a: &Assessment) -> &str {
+    a.op_unit.as_deref().unwrap_or("OP units")
 }
 
 /// How sure the verdict is, in a sentence.
@@ -139,33 +154,35 @@ pub fn sureness(a: &Assessment) -> String {
     let why = || a.reason.map_or_else(|| "a validity check fails".to_owned(), reason);
     let Some(p) = a.p_stiction else { return format!("No verdict: {}.", why()) };
     let cuts = a.explanation.map(|e| e.cuts);
-    let (said, grade) = (probability(p), grade(a));
-    match a.stiction {
-        None if a.reason == Some("masked") => format!("No verdict: {}. With its group, p {said}; {grade}.", why()),
-        None => format!("No verdict: {}. The indicators alone would give p {said}; {grade}.", why()),
-        Some(false) => {
-            let below =
-                cuts.map_or_else(String::new, |c| format!(", below the decision threshold of {}", number(c.called)));
-            format!("Stiction not seen (p {said}{below}); {grade}.")
-        }
-        Some(true) => {
+    let below = cuts.map_or_else(String::new, |c| format!(", below the decision threshold of {}", number(c.called)));
+    let said = probability(p);
+    match Standing::of(a) {
+        Standing::NoAnswer if a.reason == Some("masked") => format!("No verdict: {}. With its group, p {said}.", why()),
+        Standing::NoAnswer => format!("No verdict: {}. The indicators alone would give p {said}.", why()),
+        Standing::NotSeen => format!("Stiction not seen (p {said}{below})."),
+        Standing::Open => format!("Whether the valve sticks is open (p {said}{below}, but too high to rule it out)."),
+        Standing::Sticks | Standing::Suspected => {
             let odds = match p {
                 p if p >= 0.99 => "almost certain",
                 p if p >= 0.9 => "very likely",
                 p if p >= 0.7 => "likely",
                 _ => "more likely than not",
             };
-            format!("Stiction {odds} (p {said}); {grade}.")
+            format!("Stiction {odds} (p {said}); {}.", grade(a))
         }
     }
 }
 
 fn grade(a: &Assessment) -> String {
-    let why = reservation(a).map_or_else(String::new, |why| format!(" ({why})"));
-    match a.grade {
-        Some('A') => "grade A: no validity check limits it, and the interval of s is narrow".to_owned(),
-        Some(grade @ ('B' | 'C')) => format!("grade {grade}{why}"),
-        _ => "grade D: no answer".to_owned(),
+    answer::grade(a).map_or_else(|| "not graded".to_owned(), |grade| format!("grade {}", graded(a, grade)))
+}
+
+/// A grade, and what keeps it below A.
+#[must_use]
+pub fn graded(a: &Assessment, grade: char) -> String {
+    match reservation(a) {
+        None => format!("{grade}: no validity check limits it, and the interval of s is narrow"),
+        Some(why) => format!("{grade} ({why})"),
     }
 }
 
@@ -215,43 +232,42 @@ pub fn disbelief(a: &Assessment) -> Option<String> {
     (!said.is_empty()).then(|| format!("no size and no process model are given: {}", said.join("; ")))
 }
 
-/// How large the stiction is, in a word, and of what: of travel where OP's range is known, else of OP's span.
+/// How large the stiction is against the valve's travel, where OP's range is known. Without it at most moderate: a share of
+/// OP's swing says how quiet the loop is as much as how large the band is.
 #[must_use]
-pub fn size_class(a: &Assessment) -> Option<(Size, &'static str)> {
-    let of_travel = a.severity_by_range.map(|size| (size, "relative to travel"));
-    of_travel.or_else(|| a.strength_by_span.map(|size| (size, "relative to OP's span")))
+pub fn size_class(a: &Assessment) -> Option<Size> {
+    a.severity_by_range.or_else(|| a.strength_by_span.map(|size| size.min(Size::Moderate)))
 }
 
-/// The size, in OP units and in % of travel where the range is known; a lower bound where the estimate reaches its own
-/// bound; none where no stiction was found.
+/// The size, in % of travel where OP's range is known, else in OP units; with a lower bound where the estimate reaches its
+/// own bound; none where no stiction was found.
 #[must_use]
-pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
+pub fn size(a: &Assessment) -> Option<String> {
     let s = a.s.filter(|_| a.stiction != Some(false))?;
-    let of_travel = |v: f64| op_range.map(|[low, high]| 100.0 * v / (high - low).abs());
-    let sized = |v: f64| match of_travel(v) {
-        Some(percent) => format!("{} % of travel ({} OP units)", number(percent), number(v)),
-        None => format!("{} OP units", number(v)),
-    };
+    let scale = Scale::of(a);
     let mut text = if at_bound(a) {
         let least = a.s_interval.map_or(s, |[low, _]| low);
         format!(
-            "at least {}; the estimate ({}) or its interval reaches OP's span, the largest possible value",
-            sized(least),
-            number(s)
+            "{}, at least {}: the estimate or its interval reaches OP's span, the largest possible value",
+            scale.told(s),
+            number(scale.value(least))
         )
     } else {
-        let interval = a.s_interval.map(|[low, high]| {
-            let [low, high] = [low, high].map(|v| number(of_travel(v).unwrap_or(v)));
-            format!(", 90 % interval {low} to {high}{}", if op_range.is_some() { " %" } else { "" })
+        let interval = a.s_interval.map(|ends| {
+            let [low, high] = ends.map(|end| number(scale.value(end)));
+            format!(", 90 % interval {low} to {high}{}", if a.op_range.is_some() { " %" } else { "" })
         });
-        format!("{}{}", sized(s), interval.unwrap_or_default())
+        format!("{}{}", scale.told(s), interval.unwrap_or_default())
     };
     // Where slip and play look alike fs and fd are not known apart.
     if let (Some(fs), Some(fd), Some(true)) = (a.fs, a.fd, a.j_identifiable) {
-        text = format!("{text}; static band {}, kinetic band {} OP units", number(fs), number(fd));
+        let [fs, fd] = [fs, fd].map(|band| number(scale.value(band)));
+        text = format!("{text}; static band {fs}, kinetic band {fd} {}", scale.unit());
     }
-    if let Some((class, of)) = size_class(a).filter(|(class, _)| *class != Size::None) {
-        text = format!("{text}; {}, {of}", class.name());
+    match (a.severity_by_range, a.s_over_span) {
+        (Some(class), _) if class != Size::None => text = format!("{text}; {}, relative to travel", class.name()),
+        (None, Some(share)) => text = format!("{text}; {} % of OP's swing", number((100.0 * share).round())),
+        _ => {}
     }
     Some(text)
 }
@@ -300,7 +316,10 @@ fn fact(name: &str, towards: bool, index: f64) -> &'static str {
             "OP and PV are out of phase by a quarter period, as behind a sticking valve",
             "OP and PV are not out of phase by a quarter period",
         ],
-        "jumps" => ["PV moves in jumps while OP moves steadily", "PV moves smoothly while OP moves steadily"],
+        "jumps" => [
+            "PV moves in jumps while OP moves steadily",
+            "PV does not jump while OP moves steadily (a dead band alone makes no jumps)",
+        ],
         "curve_fit" => {
             ["half cycles are triangles rather than sinusoids", "half cycles are sinusoids rather than triangles"]
         }
@@ -310,20 +329,25 @@ fn fact(name: &str, towards: bool, index: f64) -> &'static str {
             "a sticking stem predicts PV's next value hardly better than OP does",
         ],
         "periodicity" => [
-            "little of PV's movement keeps a period of its own",
-            "much of PV's movement keeps a period of its own, as an external load does",
+            "PV's movement does not keep one steady period, as an external load often does",
+            "PV's movement keeps one steady period, as an external load often does and a valve's own cycle can",
         ],
         _ => [UNNAMED, UNNAMED],
     };
     if towards { yes } else { no }
 }
 
-/// The evidence as facts, strongest first, with its log-odds. Facts of a fit are left out where no fit is given.
+/// The evidence as facts, with its log-odds: first what speaks for the verdict, then what speaks against it, strongest
+/// first. Facts of a fit are left out where no fit is given.
 #[must_use]
 pub fn evidence(a: &Assessment) -> Vec<(String, f64)> {
     let given = |name: &str| a.process.is_some() || !OF_THE_FIT.contains(&name);
     let mut said: Vec<_> = a.indicators.iter().filter(|w| w.contribution.abs() >= 0.05 && given(w.name)).collect();
-    said.sort_by(|x, y| y.contribution.abs().total_cmp(&x.contribution.abs()));
+    let for_verdict = |c: f64| Standing::of(a).is_found() == (c > 0.0);
+    said.sort_by(|x, y| {
+        let strength = y.contribution.abs().total_cmp(&x.contribution.abs());
+        for_verdict(y.contribution).cmp(&for_verdict(x.contribution)).then(strength)
+    });
     let words = |name: &str, c: f64| {
         let points = if c > 0.0 { "points to sticking" } else { "points away from sticking" };
         capital(&format!("{}: {points}", fact(name, c > 0.0, a.stiction_index.unwrap_or(0.0))))
@@ -355,7 +379,7 @@ pub const fn gate(g: Gate) -> &'static str {
 
 /// What this record leaves open.
 #[must_use]
-pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
+pub fn unknowns(a: &Assessment) -> Vec<String> {
     let mut out: Vec<String> = a.gates.iter().map(|g| format!("{} ({})", gate(*g), g.name())).collect();
     let screened = a.reason == Some(SCREENED);
     if screened {
@@ -374,13 +398,13 @@ pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
     {
         out.push(format!("a reliable band: it needs a sample every {} or faster", people::at_most(period / 50.0)));
     }
-    if a.s.is_some() && op_range.is_none() {
+    if a.s.is_some() && a.op_range.is_none() {
         out.push(
             "the size in % of travel: OP's range is not known (--op-range, or op_range in the configuration)".into(),
         );
     }
     match a.s_detectable {
-        Some(least) => out.push(format!("bands below the detection limit, s = {} OP units", number(least))),
+        Some(least) => out.push(format!("bands below the detection limit, s = {}", Scale::of(a).told(least))),
         None if a.stiction == Some(false) && !screened => {
             out.push("the detection limit: it is not determinable from this record".to_owned());
         }
@@ -438,13 +462,16 @@ mod tests {
         a.p_stiction = Some(0.17);
         a.s_detectable = Some(1.25);
         let text = format!("{} {} {} {}", headline(&a), sureness(&a), advice(&a), seen(&a));
-        for part in ["no sign of stiction above 1.25", "not seen (p 0.17", "A band below 1.25", "grade C: a negative"] {
+        for part in ["no sign of stiction above 1.25 OP units", "not seen (p 0.17", "A band below 1.25"] {
             assert!(text.contains(part), "{part}: {text}");
         }
         a.s_detectable = None;
         assert!(headline(&a).contains("detection limit not determinable"));
-        assert_eq!(size(&a, None), None);
+        assert_eq!(size(&a), None);
         assert!(advice(&a).contains("rules out no band"));
+        a.p_stiction = Some(0.44);
+        let text = format!("{} {} {} {}", headline(&a), sureness(&a), advice(&a), seen(&a));
+        assert!(!text.contains("no sign") && !text.contains("not seen") && text.contains("open (p 0.44"), "{text}");
     }
 
     #[test]
@@ -452,10 +479,11 @@ mod tests {
         let mut a = sticking();
         assert!(!at_bound(&a) && reservation(&a).is_none() && !headline(&a).contains("grade"));
         (a.s_over_span, a.s_interval, a.grade) = (Some(1.0), Some([1.3, 2.0]), Some('C'));
-        assert!(size(&a, None).unwrap().starts_with("at least 1.3 OP units"), "{:?}", size(&a, None));
+        assert!(size(&a).unwrap().starts_with("2 OP units, at least 1.3: "), "{:?}", size(&a));
         assert!(headline(&a).contains("(grade C: s reaches the largest"), "{}", headline(&a));
         (a.s_over_span, a.s_interval) = (Some(0.5), Some([1.3, 4.0]));
-        assert!(size(&a, Some([0.0, 200.0])).unwrap().starts_with("at least 0.65 % of travel (1.3 OP units)"));
+        a.op_range = Some([0.0, 200.0]);
+        assert!(size(&a).unwrap().starts_with("1 % of travel (2 OP units), at least 0.65: "), "{:?}", size(&a));
     }
 
     #[test]
@@ -465,7 +493,7 @@ mod tests {
         assert!(advice(&a).contains("packing") && advice(&a).contains("linkage"), "{}", advice(&a));
         a.j_identifiable = Some(true);
         assert!(!advice(&a).contains("packing"));
-        a.explanation.iter_mut().for_each(|e| e.logit = 0.5);
+        a.p_stiction = Some(0.6);
         assert!(headline(&a).starts_with("suspected, below the alarm threshold: "), "{}", headline(&a));
     }
 
@@ -478,8 +506,8 @@ mod tests {
         assert_eq!(
             said,
             [
-                "OP and PV are not out of phase by a quarter period: points away from sticking",
-                "PV moves in jumps while OP moves steadily: points to sticking"
+                "PV moves in jumps while OP moves steadily: points to sticking",
+                "OP and PV are not out of phase by a quarter period: points away from sticking"
             ]
         );
     }
@@ -487,13 +515,14 @@ mod tests {
     #[test]
     fn what_is_missing_is_said_not_shown_as_zero() {
         let mut a = empty();
-        assert!(unknowns(&a, None).iter().any(|u| u.contains("no model")) && evidence(&a).is_empty());
+        assert!(unknowns(&a).iter().any(|u| u.contains("no model")) && evidence(&a).is_empty());
         assert!(sureness(&a).contains("validity check"));
         a.reason = Some("stuck_signal");
         assert!(sureness(&a).contains("failed transmitter") && advice(&a).contains("transmitter"));
-        let a = Assessment { s: Some(2.0), s_interval: Some([1.0, 4.0]), ..empty() };
-        assert_eq!(size(&a, Some([0.0, 200.0])).unwrap(), "1 % of travel (2 OP units), 90 % interval 0.5 to 2 %");
-        assert_eq!(size(&a, None).unwrap(), "2 OP units, 90 % interval 1 to 4");
-        assert!(unknowns(&a, None).iter().any(|u| u.contains("--op-range")));
+        let mut a = Assessment { s: Some(2.0), s_interval: Some([1.0, 4.0]), ..empty() };
+        assert_eq!(size(&a).unwrap(), "2 OP units, 90 % interval 1 to 4");
+        assert!(unknowns(&a).iter().any(|u| u.contains("--op-range")));
+        a.op_range = Some([0.0, 200.0]);
+        assert_eq!(size(&a).unwrap(), "1 % of travel (2 OP units), 90 % interval 0.5 to 2 %");
     }
 }

@@ -8,8 +8,9 @@ use stiction_core::ident::region::Size;
 use super::{Priority, State};
 use crate::hash::short_hash;
 use stiction_core::units::format_rfc3339;
-use stiction_core::verdict::Assessment;
 use stiction_core::verdict::action::Action;
+use stiction_core::verdict::answer::{self, Scale};
+use stiction_core::verdict::{Assessment, words};
 
 /// Schema name of an alarm.
 pub const ALARM_SCHEMA: &str = "stictiond.alarm.v2";
@@ -152,6 +153,12 @@ pub struct Figures {
     pub s_limit: Option<f64>,
     /// Probability that the valve sticks, 0 to 1.
     pub p: Option<f64>,
+    /// s with its interval, its limit and p in words, in % of travel where OP's range is known; s where stiction was found.
+    pub size: Option<String>,
+    /// See `size`.
+    pub limit: Option<String>,
+    /// See `size`.
+    pub probability: Option<String>,
     /// How much of the error the valve law explains, 0 to 1.
     pub stiction_index: Option<f64>,
     /// The window.
@@ -168,6 +175,9 @@ impl Figures {
             s_interval: a.s_interval,
             s_limit,
             p: a.p_stiction,
+            size: answer::size(a),
+            limit: s_limit.map(|limit| Scale::of(a).told(limit)),
+            probability: a.p_stiction.map(|_| words::seen(a)),
             stiction_index: a.stiction_index,
             window: Some(window),
         }
@@ -211,10 +221,10 @@ pub struct AlarmDocument {
     pub area: Option<String>,
     /// The valve's name in the maintenance system, from the configuration.
     pub equipment: Option<String>,
-    /// NE 107 category: `M` maintenance required while active, `C` function check while out of service, else `ok`.
+    /// NE 107 category: `M` maintenance required while active, `C` function check while out of service, else `none`.
     pub ne107: &'static str,
     /// Worst class since it was raised, while active: `weak`, `moderate` or `strong`, by % of travel where OP's range is
-    /// known, else by OP's span.
+    /// known, else by OP's span, and then at most `moderate`.
     pub class: Option<Size>,
     /// Unit of s, its interval and its limit.
     pub unit: String,

@@ -18,13 +18,17 @@ pub use params::AlarmParams;
 pub use priority::Priority;
 pub use why::why_not_active;
 
+use crate::status::Sign;
 use document::{Occurrence, event_id, occurrence_id};
 use stiction_core::units::format_rfc3339;
 use stiction_core::verdict::action::Action;
+use stiction_core::verdict::answer::Scale;
 use stiction_core::verdict::{Assessment, Gate, words};
 
 /// Share of the limit below which s counts towards clearing.
 const CLEAR_SHARE: f64 = 0.8;
+/// What a new valve with its positioner may have, % of travel (0.25 to 1 % by type), or OP units where OP's range is not known.
+const NEW_VALVE: f64 = 0.5;
 /// Consecutive windows with a worse class before the alarm is raised again.
 const WORSE_WINDOWS: u8 = 2;
 
@@ -101,11 +105,16 @@ fn is_sure(a: &Assessment) -> bool {
     a.explanation.is_none_or(|opinion| a.p_stiction.unwrap_or_else(|| opinion.p()) >= opinion.cuts.alarm)
 }
 
-/// The s above which a window counts, OP units: the smaller of the limits that are set, if any.
+/// The s above which a window counts, OP units: the smaller of the limits that are set, if any. A share of a quiet loop's span
+/// is no fault of its valve: it counts from [`NEW_VALVE`] on. Where OP's range is not known, an OP that moves by no more than
+/// one unit may be a fraction of its range, and no such size is known.
 fn s_limit(a: &Assessment, params: &AlarmParams) -> Option<f64> {
+    let scale = Scale::of(a);
     let span = a.s.zip(a.s_over_span).map(|(s, share)| s / share).filter(|span| span.is_finite() && *span > 0.0);
     let by_span = span.filter(|_| params.s_limit_span > 0.0).map(|span| params.s_limit_span * span);
-    let by_op = (params.s_limit_op > 0.0).then_some(params.s_limit_op);
+    let is_known = a.op_range.is_some() || span.is_some_and(|span| span > 1.0);
+    let by_span = by_span.map(|limit| if is_known { limit.max(scale.op_units(NEW_VALVE)) } else { limit });
+    let by_op = (params.s_limit_op > 0.0).then(|| scale.op_units(params.s_limit_op));
     [by_op, by_span].into_iter().flatten().reduce(f64::min)
 }
 
@@ -234,7 +243,7 @@ impl Alarm {
         let mask = u32::MAX >> (32 - n.clamp(1, 32));
         self.history_for = (self.history_for << 1 | u32::from(evidence == Evidence::For)) & mask;
         self.history_against = (self.history_against << 1 | u32::from(evidence == Evidence::Against)) & mask;
-        let class = words::size_class(a).map(|(class, _)| class);
+        let class = words::size_class(a);
         if !self.active && evidence == Evidence::For && self.history_for.count_ones() >= m {
             self.active = true;
             self.history_against = 0;
@@ -445,18 +454,14 @@ impl Alarm {
     }
 
     /// NE 107 category: work on the device takes precedence.
-    const fn ne107(&self) -> &'static str {
-        match (self.aside.out_of_service, self.active) {
-            (true, _) => "C",
-            (false, true) => "M",
-            (false, false) => "ok",
-        }
+    fn ne107(&self) -> &'static str {
+        Sign::of_alarm(self.active, self.aside.out_of_service).unwrap_or(Sign::NothingFound).id()
     }
 }
 
 /// The claim and the size in words.
 fn size(a: &Assessment) -> String {
-    let size = words::size(a, None).unwrap_or_else(|| "unknown size".to_owned());
+    let size = words::size(a).unwrap_or_else(|| "unknown size".to_owned());
     format!("{}: {size}", words::claim(a))
 }
 

@@ -7,7 +7,7 @@ use serde::Serialize;
 pub struct AlarmParams {
     /// Raise when m of the last n windows show stiction.
     pub raise: [u8; 2],
-    /// Smallest s that counts, OP units.
+    /// Smallest s that counts, % of travel where OP's range is known, else OP units.
     pub s_limit_op: f64,
     /// Smallest s that counts, as a share of OP's span in the window.
     pub s_limit_span: f64,
@@ -15,7 +15,7 @@ pub struct AlarmParams {
 
 impl Default for AlarmParams {
     /// A tenth of OP's span is half of what the verdict calls weak: a tenth or more of the controller's effort then goes into
-    /// the valve, whatever the size of the loop. If the span is wide for other reasons, such as set-point changes, one unit of OP
+    /// the valve, whatever the size of the loop; but not below half a percent of travel, which a new valve may have. If the span is wide for other reasons, such as set-point changes, one unit of OP
     /// (1 % if OP is in %) counts by itself, because valves are repaired above it.
     fn default() -> Self {
         Self { raise: [3, 4], s_limit_op: 1.0, s_limit_span: 0.1 }

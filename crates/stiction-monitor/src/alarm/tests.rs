@@ -7,7 +7,7 @@ use stiction_core::ident::region::Size;
 use stiction_core::units::Moment;
 use stiction_core::verdict::{Oscillation, Process, Verdict, Window};
 
-fn assessment(k: i64, verdict: Verdict, s: f64, strength_by_span: Size) -> Assessment {
+fn assessment(k: i64, verdict: Verdict, s: f64, severity_by_range: Size) -> Assessment {
     let (start_ns, end_ns) = (k * 10, (k + 1) * 10);
     let (start, end) = (Moment(start_ns), Moment(end_ns));
     let window = Window { start_ns, end_ns, start, end, samples: 100, ts_s: 1.0, box_samples: 1 };
@@ -17,7 +17,7 @@ fn assessment(k: i64, verdict: Verdict, s: f64, strength_by_span: Size) -> Asses
     a.verdict = verdict;
     a.stiction = verdict.stiction();
     a.s = Some(s);
-    a.strength_by_span = Some(strength_by_span);
+    a.severity_by_range = Some(severity_by_range);
     a
 }
 
@@ -126,7 +126,7 @@ fn what_people_do_stands_apart_from_what_raised_it() {
     assert_eq!(alarm.command("L", &asks("out_of_service", None), 30).unwrap().ne107, "C");
     assert_eq!(alarm.command("L", &asks("in_service", None), 31).unwrap().ne107, "M");
     let over = alarm.window("L", &assessment(1, Verdict::Tuning, 0.0, Size::Weak), &params).unwrap();
-    assert_eq!((over.event, over.state, over.ne107), (Event::Cleared, State::Shelved, "ok"));
+    assert_eq!((over.event, over.state, over.ne107), (Event::Cleared, State::Shelved, "none"));
     assert_eq!((&over.occurrence_id, over.since_ns, over.class), (&raised.occurrence_id, Some(10), None));
     // At rest nothing of it is left but the shelf.
     let taken = alarm.command("L", &asks("unshelve", None), 40).unwrap();
@@ -170,6 +170,13 @@ fn the_limit_fits_loops_of_every_size() {
     // A small cycle in %, one of a loop whose OP runs from 0 to 1, and a valve of some size under wide moves of OP.
     assert!(alarms(0.6, 1.2, &default) && alarms(0.006, 0.012, &default) && alarms(1.5, 60.0, &default));
     assert!(!alarms(0.6, 20.0, &default));
+    // A tenth of a quiet loop's span is less than a new valve may have.
+    assert!(!alarms(0.3, 1.9, &default));
+    let of_travel = |s: f64| {
+        let a = Assessment { s_over_span: Some(0.5), op_range: Some([0.0, 1.0]), ..assessment(0, Verdict::Stiction, s, Size::Weak) };
+        Evidence::of(&a, &default)
+    };
+    assert_eq!((of_travel(0.006), of_travel(0.003)), (Evidence::For, Evidence::Against));
     let in_op = AlarmParams { s_limit_op: 2.0, s_limit_span: 0.0, ..default };
     assert!(!alarms(0.6, 1.2, &in_op) && alarms(2.1, 60.0, &in_op));
     let any = AlarmParams { s_limit_op: 0.0, s_limit_span: 0.0, ..default };

@@ -4,6 +4,7 @@ use super::Answer;
 use stiction_core::plantwide;
 use stiction_core::units::{self, duration, optional as number, significant};
 use stiction_core::verdict::action::Action;
+use stiction_core::verdict::answer::{self, Scale};
 use stiction_core::verdict::{Assessment, EstimateDocument, Gate, Process, words};
 
 /// Rows of text: a name and what it says, a name only where it changes.
@@ -26,12 +27,12 @@ impl Rows {
 fn estimate(document: &EstimateDocument, box_samples: f64, explain: bool) -> Rows {
     let a = &document.assessment;
     let mut rows = Rows(vec![format!("{}: {}: {}", document.loop_name, a.verdict.name(), words::headline(a))]);
-    if let Some(size) = words::size(a, None).filter(|_| a.stiction == Some(true)) {
+    if let Some(size) = words::size(a).filter(|_| a.stiction == Some(true)) {
         rows.add("size", size);
     }
     rows.add("confidence", words::sureness(a));
     rows.list("evidence", words::evidence(a).into_iter().map(|(text, _)| text));
-    rows.add("what to do", Action::of(a).map_or_else(|| words::advice(a), |action| action.alone("OP units")));
+    rows.add("what to do", Action::of(a).map_or_else(|| words::advice(a), |action| action.alone(words::op_unit(a))));
     rows.list("also", a.contributing.iter().map(|v| words::beside(*v).to_owned()));
     if let Some(why) = words::disbelief(a) {
         rows.add("no size", why);
@@ -79,7 +80,7 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
         rows.add("process", process(p));
     }
     if let Some(least) = a.s_detectable {
-        rows.add("detectable", format!("s of {} OP units or more", number(Some(least))));
+        rows.add("detectable", format!("s of {} or more", Scale::of(a).told(least)));
     }
     if let Some(c) = &a.controller {
         let action = if c.td_s > 0.0 { format!(", Td {}", duration(c.td_s)) } else { String::new() };
@@ -87,22 +88,25 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
             if c.ti_s.is_finite() { format!("Ti {}", duration(c.ti_s)) } else { "no integral action seen".to_owned() };
         rows.add("controller", format!("Kc {}, {integral}{action}, R2 {:.3}", units::number(c.kc), c.r2));
     }
-    if let Some(grade) = a.grade {
+    if let Some(grade) = answer::grade(a) {
         rows.add("grade", grade.to_string());
     }
 }
 
 fn bands(a: &Assessment, rows: &mut Rows) {
-    rows.add("bands", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));
+    let scale = Scale::of(a);
+    let number = |band: Option<f64>| number(band.map(|band| scale.value(band)));
+    rows.add("bands", format!("fs {}  fd {}  ({})", number(a.fs), number(a.fd), scale.unit()));
     let reached = if words::at_bound(a) { " (bound reached: at least the lower end of its interval)" } else { "" };
-    rows.add("", format!("s {}  j {}  s/span {}{reached}", number(a.s), number(a.j), number(a.s_over_span)));
+    let share = a.s_over_span.map_or_else(|| "-".to_owned(), units::number);
+    rows.add("", format!("s {}  j {}  s/span {share}{reached}", number(a.s), number(a.j)));
     for (name, interval) in [("s", a.s_interval), ("j", a.j_interval), ("fs", a.fs_interval), ("fd", a.fd_interval)] {
         if let Some([low, high]) = interval {
             let open = if name == "j" && a.j_identifiable == Some(false) { " (not identifiable)" } else { "" };
             rows.add("90 %", format!("{name} {} to {}{open}", number(Some(low)), number(Some(high))));
         }
     }
-    let class = words::size_class(a).map(|(size, of)| format!("{}, {of}", size.name()));
+    let class = a.severity_by_range.map(|size| format!("{}, relative to travel", size.name()));
     let region = a.region.map(|region| region.name().replace('_', " "));
     rows.add("class", [class, region].into_iter().flatten().collect::<Vec<_>>().join(", "));
 }

@@ -10,7 +10,7 @@ use stiction_truth::fixture::group::driven_group;
 fn estimate(name: &str, end_ns: i64, s: Option<f64>, verdict: Verdict) -> Arc<EstimateDocument> {
     let mut a = assess(&Record::uniform(1.0, vec![1.0; 40], vec![1.0; 40]), &AssessParams::default());
     (a.window.end_ns, a.s, a.verdict, a.stiction) = (end_ns, s, verdict, verdict.stiction());
-    (a.gates, a.reason, a.p_stiction) = (Vec::new(), None, Some(0.8));
+    (a.gates, a.reason, a.p_stiction) = (Vec::new(), None, Some(if a.stiction == Some(true) { 0.8 } else { 0.1 }));
     Arc::new(EstimateDocument::new(name, "hash", a))
 }
 
@@ -49,7 +49,8 @@ fn changes_are_told_once_and_everything_to_who_comes_new() {
     overview.estimate(&a, &place, now, estimate("A", 1, Some(2.0), Verdict::Stiction));
     overview.figures(&b, &place, now, &figures(5));
     let (version, rows) = (overview.changes_after(0).version, rows_after(&overview, 0));
-    assert_eq!(rows.iter().map(|r| (r.name.as_str(), r.ne107)).collect::<Vec<_>>(), [("A", Some("S")), ("B", None)]);
+    let signs: Vec<_> = rows.iter().map(|r| (r.name.as_str(), r.ne107)).collect();
+    assert_eq!(signs, [("A", Some(Sign::OutOfSpecification)), ("B", None)]);
     // Data that flow are no change; an alarm is one.
     overview.figures(&b, &place, now, &figures(6));
     assert!(rows_after(&overview, version).is_empty());
@@ -57,7 +58,7 @@ fn changes_are_told_once_and_everything_to_who_comes_new() {
     overview.alarm(&a, &place, now, &document);
     let rows = rows_after(&overview, version);
     let Changes { version: later, alarms, .. } = overview.changes_after(version);
-    assert_eq!((rows.len(), rows[0].ne107, rows[0].unacknowledged), (1, Some("M"), true));
+    assert_eq!((rows.len(), rows[0].ne107, rows[0].unacknowledged), (1, Some(Sign::Maintenance), true));
     assert_eq!((alarms.len(), overview.changes_after(later).alarms.len()), (1, 0));
     assert_eq!(rows_after(&overview, 0).len(), 2);
 }
@@ -116,10 +117,10 @@ fn a_loop_falls_silent_by_its_own_sampling_and_speaks_again() {
     overview.figures(&a, &place, now, &figures(1));
     let at = |s: u64| now + Duration::from_secs(s);
     overview.figures(&a, &place, at(59), &figures(1));
-    assert_eq!(overview.row("A", 9).unwrap().ne107, Some("ok"));
+    assert_eq!(overview.row("A", 9).unwrap().ne107, Some(Sign::NothingFound));
     overview.figures(&a, &place, at(61), &figures(1));
     let row = overview.row("A", 9).unwrap();
-    assert_eq!((row.ne107, row.silent, overview.data_health(9).silent_loops), (Some("F"), true, 1));
+    assert_eq!((row.ne107, row.silent, overview.data_health(9).silent_loops), (Some(Sign::Failure), true, 1));
     overview.figures(&a, &place, at(62), &figures(2));
     assert!(!overview.row("A", 9).unwrap().silent);
 }
@@ -137,14 +138,39 @@ fn the_cause_that_a_loop_shows_is_that_of_most_of_its_last_windows() {
         status(k, Verdict::Tuning);
     }
     // One window of another cause, or without an oscillation, does not change what is shown.
-    let shown = "the loop oscillates, most likely because of its tuning (6 of the last 7 windows)";
-    assert_eq!(status(6, Verdict::CauseUnknown), (Some("S"), shown.to_owned()));
+    let (ne107, shown) = status(6, Verdict::CauseUnknown);
+    assert!(ne107 == Some(Sign::OutOfSpecification) && shown.contains("its tuning") && shown.ends_with("(6 of the last 7 windows)"), "{shown}");
     assert_eq!(status(7, Verdict::Stiction).1, "the valve sticks and slips; no alarm yet");
     for k in 8..12 {
         status(k, Verdict::NotOscillating);
     }
     let (ne107, status) = status(12, Verdict::NotOscillating);
-    assert!(ne107 == Some("ok") && status.contains("no sign of stiction found"), "{status}");
+    assert!(ne107 == Some(Sign::NothingFound) && status.contains("no sign of stiction found"), "{status}");
+}
+
+#[test]
+fn a_restart_shows_the_newest_recorded_answer_as_an_old_one_and_a_silent_loop_stays_silent() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
+    let of = |name: &str| estimate(name, 1_000_000_000, Some(2.0), Verdict::Stiction);
+    let now_ns = 7_200_000_000_000;
+    overview.restore(&"A".into(), &place, (now, now_ns), of("A"), Some(1_000_000_000));
+    overview.restore(&"B".into(), &place, (now, now_ns), of("B"), Some(now_ns - 1_000_000_000));
+    let told = |name: &str| {
+        let row = overview.row(name, now_ns).unwrap();
+        (row.ne107, row.silent, row.stale, row.size.is_some())
+    };
+    assert_eq!(told("A"), (Some(Sign::Failure), true, true, true));
+    assert_eq!(told("B"), (Some(Sign::OutOfSpecification), false, true, true));
+    assert_eq!(overview.data_health(now_ns).silent_loops, 1);
+    // The stream of the earlier run brings no newer sample.
+    overview.figures(&"A".into(), &place, now, &figures(1_000_000_000));
+    assert!(overview.row("A", now_ns).unwrap().silent);
+    overview.figures(&"A".into(), &place, now, &figures(2_000_000_000));
+    assert_eq!(told("A"), (Some(Sign::OutOfSpecification), false, true, true));
+    overview.estimate(&"A".into(), &place, now, of("A"));
+    assert!(!overview.row("A", now_ns).unwrap().stale);
+    let headline = overview.headline("p");
+    assert_eq!(headline.words, "No stiction alarm in 2 valves.");
 }
 
 #[test]

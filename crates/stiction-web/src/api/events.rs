@@ -48,7 +48,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
         method: "get",
         path: "/events",
         summary: "Changes as they come, as server-sent events: site, loops (rows; the first with full: true, which replaces all \
-                  before it), alarm (document), groups (loops were compared), and of one loop samples, estimate and gap (another diagnosis)",
+                  before it, and the plant's headline), alarm (document), groups (loops were compared), and of one loop samples, estimate and gap (another diagnosis)",
         query: &[Parameter { name: "loop", words: "a loop whose samples and estimates are wanted too" }],
         body: None,
         response: ResponseKind::Events,
@@ -160,8 +160,12 @@ impl Watch {
         if let Some(last) = rows.last().filter(|_| rows.len() == ROWS_AT_ONCE) {
             self.ready.push_front(Ready::Rows(Rows { version, after: Some(last.name.clone()), ..Rows::default() }));
         }
-        let shown = full || !rows.is_empty() || !gone.is_empty();
-        shown.then(|| event("loops", &json!({"now_ms": ms_from_ns(now), "full": full, "loops": rows, "gone": gone})))
+        let is_shown = full || !rows.is_empty() || !gone.is_empty();
+        is_shown.then(|| {
+            let headline = self.live.overview.headline(&self.live.config.get().site.prefix);
+            let now_ms = ms_from_ns(now);
+            event("loops", &json!({"now_ms": now_ms, "full": full, "loops": rows, "gone": gone, "headline": headline}))
+        })
     }
 
     fn push(&mut self, name: &str, data: &impl Serialize) {

@@ -15,9 +15,10 @@ use crate::server::IdleTimer;
 use stiction_core::gap::document::GapDocument;
 use stiction_core::gap::text;
 use stiction_core::units::ms_from_ns;
-use stiction_core::verdict::{Assessment, EstimateDocument, words};
+use stiction_core::verdict::{Assessment, EstimateDocument, answer, words};
 use stiction_monitor::alarm::AlarmDocument;
 use stiction_monitor::codec::topic::Kind;
+use stiction_monitor::status::Headline;
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::overview::Row;
 
@@ -26,6 +27,8 @@ use stiction_runtime::overview::Row;
 struct Loops {
     /// The daemon's clock, ms since 1970.
     now_ms: f64,
+    /// The plant in sentences.
+    headline: Headline,
     /// Every loop, by name.
     loops: Vec<Row>,
 }
@@ -50,8 +53,10 @@ struct Detail {
 /// Documents in plain words.
 #[derive(Debug, Default, Serialize, schemars::JsonSchema)]
 struct Words {
-    /// The verdict.
+    /// The newest window's verdict.
     verdict: String,
+    /// Its grade and what limits it, where stiction was found.
+    grade: Option<String>,
     /// How sure it is, the evidence, and why numbers are missing.
     why: Vec<String>,
     /// How much it sticks, where stiction was found.
@@ -119,7 +124,8 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 }
 
 async fn all(State(live): State<Shared>, Extension(idle): Extension<IdleTimer>) -> Response {
-    let empty = Loops { now_ms: ms_from_ns(now_ns()), loops: Vec::new() };
+    let headline = live.overview.headline(&live.config.get().site.prefix);
+    let empty = Loops { now_ms: ms_from_ns(now_ns()), headline, loops: Vec::new() };
     let mut after: Option<String> = None;
     let parts = std::iter::from_fn(move || {
         let rows = live.overview.rows_after(0, after.as_deref(), PART, now_ns());
@@ -134,8 +140,7 @@ async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<D
     let row = live.overview.row(&name, now_ns()).ok_or_else(no_such)?;
     let newest = live.overview.newest(&name).unwrap_or_default();
     let gap = live.last_document(&name, Kind::Gap);
-    let op_range = live.config.get().loop_named(&name).and_then(|l| l.op_range);
-    let mut words = newest.estimate.as_deref().map(|e| words_of(&e.assessment, op_range)).unwrap_or_default();
+    let mut words = newest.estimate.as_deref().map(|e| words_of(&e.assessment)).unwrap_or_default();
     if let Some(read) = gap.as_ref().and_then(|g| serde_json::from_value::<GapDocument>(g.clone()).ok()) {
         words.gap = Some(text::paragraph(&read));
         (words.windows, words.other_loops) = (text::windows(&read), text::other_loops(&read));
@@ -152,7 +157,7 @@ async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<D
     }))
 }
 
-fn words_of(a: &Assessment, op_range: Option<[f64; 2]>) -> Words {
+fn words_of(a: &Assessment) -> Words {
     let mut indicators: Vec<_> = a.indicators.iter().filter(|i| i.contribution != 0.0).collect();
     indicators.sort_by(|x, y| y.contribution.abs().total_cmp(&x.contribution.abs()));
     let mut why = vec![words::sureness(a)];
@@ -160,8 +165,9 @@ fn words_of(a: &Assessment, op_range: Option<[f64; 2]>) -> Words {
     why.extend(words::disbelief(a));
     Words {
         verdict: words::headline(a),
+        grade: answer::grade(a).map(|grade| words::graded(a, grade)),
         why,
-        size: words::size(a, op_range),
+        size: words::size(a),
         what_to_do: Some(words::advice(a)),
         test: words::proposal(a),
         gates: a.gates.iter().map(|g| Explained { name: g.name(), words: words::gate(*g) }).collect(),

@@ -217,7 +217,7 @@ impl Estimated {
             original: None,
             tags,
             comment: None,
-            op_range: self.settings.assess.op_range,
+            notes: Vec::new(),
             full: true,
         }
     }

@@ -15,7 +15,7 @@ const SHELVES = [[3600, "1 hour"], [28800, "8 hours (a shift)"], [86400, "1 day"
 const forTime = { name: "for_s", label: "For", type: "select", value: "28800", options: SHELVES.map(([s, label]) => ({ value: String(s), label })) };
 
 const COMMANDS = {
-  ack: { label: "Acknowledge", intro: "You have seen the alarm. It stays active until the valve moves freely again.", fields: [why("For example: check the packing at the shutdown in May.")] },
+  ack: { label: "Acknowledge", intro: "You have seen the alarm. It stays active until enough windows no longer show stiction.", fields: [why("For example: check the packing at the shutdown in May.")] },
   shelve: { label: "Shelve …", intro: "The alarm leaves the list for this time and then returns.", fields: [forTime, why("Why it can wait.")] },
   unshelve: { label: "Unshelve", intro: "The alarm returns to the list in its current state.", fields: [why("")] },
   out_of_service: { label: "Out of service …", intro: "For work on the valve. The alarm is out of service until you return it to service.", fields: [why("For example: valve removed for repair.")] },

@@ -35,19 +35,24 @@ function reviewed(review) {
   return h("li", null, `${said(review).replace(/^./, (c) => c.toLowerCase())} ${review.by}, ${METHODS[review.method] ?? review.method}, ${format.recent(review.at_ms)}`, review.why ? h("q", null, review.why) : null);
 }
 
+/** What the newest window with an answer found. */
+function figures(alarm) {
+  const limit = alarm.limit ? `counts from ${alarm.limit}` : null;
+  const parts = [VERDICTS[alarm.verdict]?.short ?? alarm.verdict, alarm.class, alarm.size ? `s ${alarm.size}` : null, limit, alarm.probability];
+  return `Newest answer: ${parts.filter(Boolean).join(", ")}`;
+}
+
 function entry(alarm, done) {
   const since = format.millis(alarm.since);
   const changed = `${EVENTS[alarm.event] ?? alarm.event}${alarm.by ? ` by ${alarm.by}` : ""}, ${format.recent(format.millis(alarm.changed))}`;
-  const ne = alarm.ne107 ?? (alarm.active ? "M" : "ok");
+  const ne = alarm.ne107;
   return h("li", { class: `alarm ${alarm.state}${alarm.active ? " active" : ""}`, "data-loop": alarm.loop },
     h("div", { class: "alarm-main" },
       h("h2", null, symbol(ne, 20), h("a", { href: `#/loop/${encodeURIComponent(alarm.loop)}` }, alarm.loop),
-        alarm.priority ? h("span", { class: `priority ${alarm.priority}` }, `${alarm.priority} priority`) : null,
+        alarm.priority ? h("span", { class: `priority ${alarm.priority}` }, `maintenance priority ${alarm.priority}`) : null,
         h("span", { class: "state" }, STATES[alarm.state] ?? alarm.state)),
-      h("p", { class: "alarm-figures" }, VERDICTS[alarm.verdict]?.short ?? alarm.verdict, alarm.class ? `, ${alarm.class}` : "",
-        alarm.s === null || alarm.s === undefined ? "" : `; s ${format.estimate(alarm.s, alarm.s_interval, alarm.unit)}, limit ${format.number(alarm.s_limit)} ${alarm.unit}`,
-        alarm.p === null || alarm.p === undefined ? "" : `; p ${format.probability(alarm.p)}`),
-      alarm.why ? h("p", { class: "soft" }, alarm.why) : null,
+      h("p", { class: "alarm-figures" }, figures(alarm)),
+      alarm.why ? h("p", { class: "soft" }, `When raised: ${alarm.why}`) : null,
       alarm.what_to_do ? h("p", null, h("b", null, "To do: "), prose(alarm.what_to_do)) : null),
     h("div", { class: "alarm-side" },
       h("ul", { class: "acts" },
@@ -66,7 +71,7 @@ export function show(root, { announce }) {
   const search = h("input", { id: "find", type: "search", placeholder: "loop, area, name", oninput: (e) => { state.text = e.target.value.trim().toLowerCase(); draw(); } });
   const exported = h("a", { class: "button", href: api.url("/reviews.csv"), download: "reviews.csv" }, "Save reviews (CSV)");
   fill(root, h("h1", null, "Alarms"),
-    h("p", { class: "soft" }, "Maintenance alerts (ISA-18.2): none of them needs action within minutes."),
+    h("p", { class: "soft" }, "Maintenance alerts (ISA-18.2), not process alarms. Priority ranks valves for planning; no alert needs action within minutes."),
     h("section", { class: "filters", "aria-label": "Filter" }, chips, h("div", { class: "row" }, h("label", { class: "inline", for: "find" }, "Find ", search, h("kbd", null, "/")), exported)),
     list);
 

@@ -32,8 +32,8 @@ const ROUTES = [
   { path: /^$/, at: "", name: "Overview", module: "./overview.js", live: true },
   { path: /^alarms$/, at: "alarms", name: "Alarms", module: "./alarms.js", live: true },
   { path: /^maintenance$/, at: "maintenance", name: "Maintenance", short: ["Maint", "enance"], module: "./maintenance.js", live: true },
-  { path: /^groups$/, at: "groups", name: "Plant", module: "./groups.js", live: true },
-  { path: /^obstacles$/, at: "obstacles", name: "Data", module: "./obstacles.js", live: true },
+  { path: /^(?:groups|plant)$/, at: "groups", name: "Plant", module: "./groups.js", live: true },
+  { path: /^(?:obstacles|data)$/, at: "obstacles", name: "Data", module: "./obstacles.js", live: true },
   { path: /^loop\/(.+)$/, name: "Loop", module: "./loop.js", live: true },
   { path: /^workbench(?:\/.*)?$/, at: "workbench", name: "Workbench", short: ["Work", "bench"], bench: { module: "./workbench.js", style: "workbench.css" }, module: "./workbench-link.js" },
 ];

@@ -9,7 +9,9 @@ const link = (name) => h("a", { href: `#/loop/${encodeURIComponent(name)}` }, na
 const repaired = (source) => (source.kind === "loop" ? `${source.loop} is repaired` : "the source is repaired");
 
 /** What makes the oscillation, in a sentence. */
-function headline(source) {
+function headline(group) {
+  const { source, same_record: twins } = group;
+  if (twins?.length) return [twins.flatMap((name, k) => [k ? (k === twins.length - 1 ? " and " : ", ") : null, link(name)]), " have the same record, so no source is named: check their keys"];
   const p = format.probability(source.probability);
   if (source.kind === "loop") return [link(source.loop), ` makes the oscillation, p ${p}`];
   if (source.kind === "outside") return `None of these loops makes the oscillation, p ${p}: look upstream for a common load or a loop that is not recorded`;
@@ -65,7 +67,7 @@ function timeLine(history) {
 function card({ id, document: group, history }) {
   const { source } = group;
   return h("article", { class: "card group", "data-group": String(id), "data-key": JSON.stringify(group.members), tabindex: "-1", "aria-labelledby": `group-${id}` },
-    h("h2", { id: `group-${id}` }, headline(source)),
+    h("h2", { id: `group-${id}` }, headline(group)),
     h("p", { class: "soft" }, `${group.members.length} loops oscillate together, period ${format.duration(group.period_s)}; probability that chance links them ${format.probability(group.p_value)}. Window ${format.recent(format.millis(group.window.start))} to ${format.recent(format.millis(group.window.end))}.`),
     source.reasons.length ? h("ul", { class: "reasons" }, source.reasons.map((reason) => h("li", null, format.sentence(reason)))) : null,
     source.next_test ? h("p", { class: "todo" }, h("b", null, "Next test: "), source.next_test) : null,

@@ -12,8 +12,8 @@ export function alarms(root, loop) {
   const row = (a) => h("tr", null,
     h("th", { scope: "row", class: "nowrap" }, format.dateTime(format.millis(a.changed))),
     h("td", null, EVENTS[a.event] ?? a.event), h("td", null, STATES[a.state] ?? a.state),
-    h("td", { class: "number" }, a.s === null || a.s === undefined ? "–" : format.estimate(a.s, a.s_interval, a.unit)),
-    h("td", { class: "number" }, format.probability(a.p)),
+    h("td", { class: "number" }, a.size ?? "–"),
+    h("td", { class: "number" }, a.probability ?? "–"),
     h("td", null, a.by ?? "the program"), h("td", null, a.detail ?? (a.event === "raised" ? a.why : "") ?? ""));
   const reviewed = (r) => h("li", null, h("b", null, said(r)), ` ${r.by} on ${format.dateTime(r.at_ms)} (${METHODS[r.method] ?? r.method}), window to ${format.dateTime(r.window_end_ms)}`, r.why ? [": ", h("q", null, r.why)] : null);
   const load = async () => {

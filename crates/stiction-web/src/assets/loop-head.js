@@ -5,23 +5,27 @@ import { buttons, said } from "./actions.js";
 import { fill, h, prose } from "./dom.js";
 import * as format from "./format.js";
 import { store } from "./store.js";
-import { GRADES, NE107, STATES, VERDICTS, neOf, opUnit, plain, seen, sizeOf, symbol, verdictOf } from "./words.js";
+import { NE107, STATES, VERDICTS, neOf, opUnit, plain, symbol, verdictOf } from "./words.js";
 
 const fact = (term, ...value) => h("div", null, h("dt", null, term), h("dd", null, value));
 
-function facts(row, estimate) {
+function facts(row, estimate, words) {
   if (!estimate) return null;
   const unit = opUnit(row);
   const level = Math.round((estimate.interval_level ?? 0.9) * 100);
-  const band = (key) => format.estimate(estimate[key], estimate[`${key}_interval`], unit);
+  // Sizes are told in % of travel where OP's range is known.
+  const [low, high] = estimate.op_range ?? [0, 100];
+  const told = (v) => (v === null || v === undefined ? v : (100 * v) / Math.abs(high - low));
+  const sizes = estimate.op_range ? "% of travel" : unit;
+  const band = (key) => format.estimate(told(estimate[key]), estimate[`${key}_interval`]?.map(told), sizes);
   const list = [];
-  if (estimate.p_stiction !== null) list.push(fact("Stiction", seen(estimate.p_stiction, estimate.stiction)));
-  if (estimate.grade) list.push(fact("Grade", GRADES[estimate.grade] ? GRADES[estimate.grade].replace("grade ", "") : estimate.grade));
-  if (estimate.s !== null && estimate.stiction !== false) list.push(fact([h("i", null, "s"), " dead band plus stick band"], sizeOf(estimate, unit) ?? band("s")), fact([h("i", null, "j"), " slip jump"], estimate.j_identifiable === false ? `${band("j")}, not identifiable` : band("j")), fact([h("i", null, "fs"), " static band"], band("fs")), fact([h("i", null, "fd"), " kinetic band"], band("fd")));
+  if (row.probability) list.push(fact("Stiction", row.probability));
+  list.push(fact("Grade", words?.grade ?? "–"));
+  if (estimate.s !== null && estimate.stiction !== false) list.push(fact([h("i", null, "s"), " dead band plus stick band"], row.size ?? band("s")), fact([h("i", null, "j"), " slip jump"], estimate.j_identifiable === false ? `${band("j")}, not identifiable` : band("j")), fact([h("i", null, "fs"), " static band"], band("fs")), fact([h("i", null, "fd"), " kinetic band"], band("fd")));
   if (estimate.stiction_index !== null) list.push(fact("Stiction index", format.number(estimate.stiction_index)));
-  const size = estimate.severity_by_range ? `${estimate.severity_by_range}, relative to travel` : estimate.strength_by_span ? `${estimate.strength_by_span}, relative to OP’s span` : null;
-  if (size && estimate.stiction) list.push(fact("Size", size));
-  if (estimate.s_detectable !== null && estimate.s_detectable !== undefined) list.push(fact("Detection limit of s", `${format.number(estimate.s_detectable)} ${unit}`));
+  if (estimate.severity_by_range && estimate.stiction) list.push(fact("Size", `${estimate.severity_by_range}, relative to travel`));
+  else if (estimate.stiction && estimate.s_over_span) list.push(fact("Share of OP’s swing", format.percent(estimate.s_over_span)));
+  if (estimate.s_detectable !== null && estimate.s_detectable !== undefined) list.push(fact("Detection limit of s", `${format.number(told(estimate.s_detectable))} ${sizes}`));
   if (estimate.oscillation?.period_s) list.push(fact("Period", `${format.duration(estimate.oscillation.period_s)}, ${format.number(estimate.oscillation.periods)} in the window`));
   const w = estimate.window;
   list.push(fact("Window", `${format.recent(format.millis(w.start))} to ${format.recent(format.millis(w.end))}, every ${format.duration(w.ts_s)}`));
@@ -36,7 +40,7 @@ function todo(words, alarm) {
 
 // The verdict's own sentence, where it says more than the title, and the size.
 function lead(words, row) {
-  const verdict = words?.verdict && words.verdict !== row.status ? words.verdict : null;
+  const verdict = words?.verdict && words.verdict !== row.status ? `${row.stale ? "The last window" : "The newest window"}: ${words.verdict}` : null;
   const list = [verdict, words?.size].filter(Boolean);
   return list.length ? h("p", { class: "lead" }, list.map(format.sentence).join(" ")) : null;
 }
@@ -57,7 +61,7 @@ function downloads(loop) {
 export function head(root, loop) {
   const { estimate, alarm, words, row: first } = loop.document;
   const row = store.rows.get(loop.name) ?? first;
-  const key = JSON.stringify([estimate?.window?.end_ns, alarm?.event_id, row.ne107, row.status, row.driven, row.gates, loop.review, words]);
+  const key = JSON.stringify([estimate?.window?.end_ns, alarm?.event_id, row.ne107, row.status, row.stale, row.probability, row.size, row.driven, row.gates, loop.review, words]);
   if (key === root.dataset.key) return;
   const focus = document.activeElement && root.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") : null;
   root.dataset.key = key;
@@ -77,7 +81,7 @@ export function head(root, loop) {
     row.gates?.length ? h("p", { class: "warning" }, "Limits of this window: ", row.gates.map(plain).join(", "), ".") : null,
     todo(words, alarm),
     loop.review ? h("p", { class: "note" }, `${said(loop.review)} ${loop.review.by}.`) : null,
-    facts(row, estimate),
+    h("div", { class: row.stale ? "old-answer" : null }, facts(row, estimate, words)),
     h("div", { class: "loop-acts" }, buttons(alarm ?? { loop: loop.name, state: "normal" }, { done, sticks: estimate?.stiction ?? null, window: Boolean(estimate) }), estimate ? downloads(loop) : null));
   if (focus) root.querySelector(`[aria-label="${CSS.escape(focus)}"]`)?.focus();
 }

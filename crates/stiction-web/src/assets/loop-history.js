@@ -34,7 +34,7 @@ function pooledWords(over, unit) {
 function changes(over, unit) {
   if (!over.changes.length) return null;
   return h("ul", { class: "changes" }, over.changes.map((c) => h("li", { class: c.kind },
-    h("b", null, `${c.kind === "repaired" ? "Repaired" : c.kind === "better" ? "Better" : "Worse"}`),
+    h("b", null, `${c.kind === "repaired" ? "No longer detected" : c.kind === "better" ? "Better" : "Worse"}`),
     `: s changed from ${format.number(c.s_before)} to ${format.number(c.s_after)} ${unit} between ${format.dateTime(c.from_ms)} and ${format.dateTime(c.to_ms)} (p ${format.probability(c.p)}).`)));
 }
 

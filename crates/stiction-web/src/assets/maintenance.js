@@ -1,4 +1,4 @@
-// Maintenance: which valves to work on first, what to do, why and how sure; and whether earlier work helped.
+// Maintenance: which valves to work on first as a table, the sentences of each on click; and whether earlier work helped.
 
 import * as api from "./api.js";
 import { figureCell, fill, h, loading, prose } from "./dom.js";
@@ -23,15 +23,31 @@ export function groups(work, byArea) {
   return [...areas].map(([title, list]) => ({ title, work: list }));
 }
 
+const COLUMNS = ["rank", "valve", "s", "stiction", "benefit of a repair", "next step"];
+
+/** A valve's row, and its sentences behind it. */
 function entry(item) {
-  const place = [item.equipment, item.area].filter(Boolean).join(", ");
+  const place = [item.equipment, item.area, item.alarm ? "alarm active" : null].filter(Boolean).join(", ");
   const line = (words, text) => h("p", null, h("b", null, `${words}: `), prose(format.sentence(text)));
-  return h("li", { class: "card work", "data-loop": item.loop },
-    h("h3", null, h("span", { class: "place" }, `${item.rank}.`), " ", link(item.loop), place ? h("span", { class: "soft" }, ` ${place}`) : null),
-    line("Do", item.what_to_do), line("Why", item.why), line("How sure", item.sure));
+  const texts = h("div", { class: "work-texts" }, line("Do", item.what_to_do), line("Why", item.why), line("How sure", item.sure));
+  const more = h("button", { class: "button quiet", type: "button", "aria-expanded": "false", "aria-label": `Details of ${item.loop}`, onclick: () => {
+    below.hidden = !below.hidden;
+    more.setAttribute("aria-expanded", String(!below.hidden));
+    fill(more, below.hidden ? "Details" : "Less");
+  } }, "Details");
+  const cell = (k, ...inside) => h("td", { "data-label": COLUMNS[k] }, inside);
+  const below = h("tr", { class: "work-more", hidden: true }, h("td", { colspan: String(COLUMNS.length) }, texts));
+  return [h("tr", { class: "work", "data-loop": item.loop },
+    cell(0, String(item.rank)),
+    h("th", { scope: "row" }, link(item.loop), place ? h("small", { class: "soft under-words" }, place) : null),
+    cell(2, item.size ?? "–"), cell(3, item.probability ?? "–"), cell(4, item.benefit ?? "–"),
+    cell(5, h("span", null, item.next_step ?? "–"), " ", more)), below];
 }
 
-const section = ({ title, work }) => h("section", { class: "work-group" }, title ? h("h2", null, title) : null, h("ol", { class: "works" }, work.map(entry)));
+const section = ({ title, work }) => h("section", { class: "work-group" }, title ? h("h2", null, title) : null,
+  h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": `Valves to work on${title ? `, ${title}` : ""}` }, h("table", { class: "table stacked works" },
+    h("thead", null, h("tr", null, COLUMNS.map((words) => h("th", { scope: "col" }, words)))),
+    h("tbody", null, work.flatMap(entry)))));
 
 const both = (outcome, key, show) => figureCell(outcome ? [`${show(outcome.before[key])} → ${show(outcome.after[key])}`, ""] : ["–", ""]);
 
@@ -70,11 +86,13 @@ export function show(root) {
     figure, list, past);
 
   function draw() {
+    const open = new Set([...list.querySelectorAll(".work button[aria-expanded=true]")].map((b) => b.closest("tr").dataset.loop));
     const held = root.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
     fill(chips, button("By valve", false), button("By area", true));
     const { work, reviewed, pending } = answer;
     fill(figure, work.length ? `${format.count(work.length, "valve")}.` : "No valve is listed.", pending ? ` Still computing: ${format.integer(pending)}.` : null);
     fill(list, groups(work, byArea).map(section));
+    for (const name of open) list.querySelector(`[data-loop="${CSS.escape(name)}"] button`)?.click();
     fill(past, reviewed.length ? reviewedTable(reviewed) : null);
     if (held) root.querySelector(`a[href="${CSS.escape(held)}"]`)?.focus({ preventScroll: true });
   }

@@ -26,16 +26,16 @@ const KINDS = {
 function row(obstacle) {
   return h("tr", { "data-kind": obstacle.kind },
     h("th", { scope: "row" }, obstacle.appeared ? h("a", { href: `#/loop/${encodeURIComponent(obstacle.loop)}` }, obstacle.loop) : obstacle.loop),
-    h("td", null, obstacle.area ?? "–"),
-    h("td", null, KINDS[obstacle.kind] ?? obstacle.kind, obstacle.blocks ? null : h("b", { class: "under-words" }, "judged, but less surely")),
-    h("td", null, obstacle.since_ms === null ? "–" : format.recent(obstacle.since_ms)),
-    h("td", null, format.sentence(obstacle.words)),
-    h("td", null, format.sentence(obstacle.remedy)));
+    h("td", { "data-label": "area" }, obstacle.area ?? "–"),
+    h("td", { "data-label": "obstacle" }, KINDS[obstacle.kind] ?? obstacle.kind, obstacle.blocks ? null : h("b", { class: "under-words" }, "judged, but less surely")),
+    h("td", { "data-label": "since" }, obstacle.since_ms === null ? "–" : format.recent(obstacle.since_ms)),
+    h("td", { "data-label": "what is wrong" }, format.sentence(obstacle.words)),
+    h("td", { "data-label": "what to do" }, format.sentence(obstacle.remedy)));
 }
 
 function table(obstacles) {
   const columns = ["loop", "area", "obstacle", "since", "what is wrong", "what to do"];
-  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Obstacles" }, h("table", { class: "table" },
+  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Obstacles" }, h("table", { class: "table stacked" },
     h("thead", null, h("tr", null, columns.map((words) => h("th", { scope: "col" }, words)))),
     h("tbody", null, obstacles.map(row))));
 }

@@ -2,10 +2,9 @@
 
 import { fill, h, skeleton } from "./dom.js";
 import * as format from "./format.js";
-import { headline } from "./headline.js";
 import { on, store } from "./store.js";
 import { Tiles } from "./tiles.js";
-import { NE107, VERDICTS, neOf, severity, symbol, verdictOf } from "./words.js";
+import { NE107, VERDICTS, neOf, symbol, verdictOf } from "./words.js";
 
 /** Pause between two orders of the tiles while rows change, ms: what is being read should not jump. */
 const CALM_MS = 4000;
@@ -26,7 +25,7 @@ const slope = (row) => {
 const order = new Intl.Collator("en", { numeric: true });
 const byName = (a, b) => order.compare(a.name, b.name);
 const SORTS = {
-  severity: { label: "severity", of: (r) => -severity(r) },
+  severity: { label: "severity", of: (r) => -(r.urgency ?? 0) },
   confidence: { label: "confidence", of: (r) => -(r.stiction === null ? -1 : (r.confidence ?? -1)) },
   trend: { label: "trend of s", of: (r) => -slope(r) },
   age: { label: "data age", of: (r) => -(r.data_age_s ?? Infinity) },
@@ -162,7 +161,7 @@ class Overview {
     if (this.bones) fill(this.list);
     this.bones = false;
     const rows = [...store.rows.values()];
-    this.drawHead(rows);
+    this.drawHead();
     this.drawChips(rows);
     this.drawAreas(rows);
     if (now) this.arrange();
@@ -185,13 +184,14 @@ class Overview {
     this.clear.hidden = !filtered;
   }
 
-  drawHead(rows) {
-    const { state, words, first, more } = headline(rows, store.site);
-    const key = JSON.stringify([state, words, more]);
-    if (key === this.said) return;
+  drawHead() {
+    const said = store.headline;
+    const key = JSON.stringify(said);
+    if (!said || key === this.said) return;
     this.said = key;
-    const open = first && h("a", { class: "button primary", href: `#/loop/${encodeURIComponent(first.name)}` }, `Look at ${first.name}`);
-    fill(this.head, h("div", { class: `headline ${state}` }, h("h1", null, words), h("p", null, more[0] ?? ""), more.length > 1 ? h("p", null, more.slice(1).join(" ")) : null), open);
+    const { mood, words, first, more } = said;
+    const open = first && h("a", { class: "button primary", href: `#/loop/${encodeURIComponent(first)}` }, `Look at ${first}`);
+    fill(this.head, h("div", { class: `headline ${mood}` }, h("h1", null, words), h("p", null, more[0] ?? ""), more.length > 1 ? h("p", null, more.slice(1).join(" ")) : null), open);
   }
 
   chip(key, set, node, label, n, title) {

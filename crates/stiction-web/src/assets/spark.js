@@ -1,19 +1,17 @@
-// A small line of the recent windows.
+// A small line of the recent windows' probability.
 
 import { svg } from "./dom.js";
 
 const WIDTH = 92;
 const HEIGHT = 26;
 
-/** s (or p where there is no s) of the recent windows, from zero up; the last one is a dot. */
+/** p of the recent windows, from 0 to 1 with a line at one half; the last one is a dot. */
 export function spark(recent) {
   const picture = svg("svg", { class: "spark", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, width: WIDTH, height: HEIGHT, "aria-hidden": "true" });
-  const ofS = recent.some((w) => w.s !== null);
-  const values = recent.map((w) => (ofS ? w.s : w.p));
-  const top = Math.max(...values.filter((v) => v !== null), ofS ? 1e-9 : 1);
-  if (values.length < 2 || !Number.isFinite(top)) return picture;
+  const values = recent.map((w) => w.p);
+  if (values.length < 2) return picture;
   const x = (k) => 3 + (k / (values.length - 1)) * (WIDTH - 7);
-  const y = (v) => HEIGHT - 3 - (v / top) * (HEIGHT - 6);
+  const y = (v) => HEIGHT - 3 - v * (HEIGHT - 6);
   let d = "";
   let pen = "M";
   values.forEach((v, k) => {
@@ -22,7 +20,7 @@ export function spark(recent) {
     pen = "L";
     return undefined;
   });
-  picture.append(svg("path", { class: "ground", d: `M2 ${HEIGHT - 2.5}H${WIDTH - 2}` }), svg("path", { class: "line", d }));
+  picture.append(svg("path", { class: "ground", d: `M2 ${HEIGHT - 2.5}H${WIDTH - 2}M2 ${HEIGHT / 2}H${WIDTH - 2}` }), svg("path", { class: "line", d }));
   const last = values.findLastIndex((v) => v !== null);
   if (last >= 0) picture.append(svg("circle", { cx: x(last), cy: y(values[last]), r: 2.2 }));
   return picture;

@@ -4,6 +4,8 @@ const listeners = new Map();
 
 export const store = {
   site: null,
+  /** The plant in sentences, as the daemon says it. */
+  headline: null,
   /** Rows by name. */
   rows: new Map(),
   /** Whether a full set of rows has come since the page was opened. */
@@ -33,7 +35,8 @@ export function take(name, data) {
   }
 }
 
-function takeRows({ loops, gone = [], full = false }) {
+function takeRows({ loops, gone = [], full = false, headline = null }) {
+  store.headline = headline ?? store.headline;
   if (full) store.rows = new Map();
   let fresh = false;
   for (const row of loops) {

@@ -6,8 +6,8 @@ import { on, store } from "./store.js";
 
 /** Difference of clocks that is worth a word, s. */
 const OFF_S = 60;
-/** Age from which data that keep coming are a recording, s. */
-const PLAYED_S = 86400;
+/** Age from which data that keep coming are not fresh, s. */
+const PLAYED_S = 3600;
 
 const item = (state, name, words, title) => h("span", { class: `health ${state}`, title }, h("span", { class: "dot", "aria-hidden": "true" }), h("b", null, name), " ", words);
 
@@ -25,8 +25,9 @@ function age({ silent_loops: silent, oldest_loop: name, oldest_age_s: oldest }) 
   const link = name && h("a", { href: `#/loop/${encodeURIComponent(name)}` }, name);
   if (silent) return item("warn", "Data", [`${format.count(silent, "loop")} silent; longest `, link, oldest > 0 ? ` for ${format.duration(oldest)}` : ""]);
   if (oldest < -OFF_S) return item("good", "Data", `fresh${store.site?.note ? "" : `; plant time is ${format.duration(-oldest)} ahead of the clock`}`);
-  if (oldest > PLAYED_S) return item("wait", "Data", `played back, ${format.duration(oldest)} old`);
-  return item("good", "Data", `at most ${format.duration(Math.max(1, Math.ceil(oldest)))} old`);
+  const words = `at most ${format.duration(Math.max(1, Math.ceil(oldest)))} old`;
+  // Data that keep coming and are hours old are played back, or late: no reason for a green light.
+  return oldest > PLAYED_S ? item("wait", "Data", `${words}: played back, or late`) : item("good", "Data", words);
 }
 
 const gaps = ({ data_gaps: n }) => (n ? item("warn", "Data gaps", format.integer(n)) : item("good", "Data gaps", "none"));

@@ -4,19 +4,18 @@
 import { fill, h } from "./dom.js";
 import * as format from "./format.js";
 import { spark } from "./spark.js";
-import { NE107, neOf, opUnit, seen, sizeOf, symbol } from "./words.js";
+import { NE107, neOf, symbol } from "./words.js";
 
 /** Tiles of a block; every number of columns up to six divides it. */
 const BLOCK = 60;
 /** Height of a tile, least width and the space between two, px, as in the style sheet; a line is as wide as the list. */
-const SIZES = { tiles: { height: 132, space: 8, least: 238 }, lines: { height: 34, space: 2, least: Infinity } };
+const SIZES = { tiles: { height: 152, space: 8, least: 238 }, lines: { height: 34, space: 2, least: Infinity } };
 
 const TREND = { rising: "↗", falling: "↘", steady: "→" };
 
 function numbers(row) {
-  if (row.p_stiction === null) return h("span", { class: "soft" }, row.gates.length ? "no numbers from this window" : " ");
-  const size = sizeOf(row, row.op_unit ?? "OP");
-  return [h("span", null, seen(row.p_stiction, row.stiction)), size ? h("span", null, h("i", null, "s"), ` ${size}`) : null];
+  if (!row.probability) return h("span", { class: "soft" }, " ");
+  return [h("span", null, row.probability), row.size ? h("span", null, h("i", null, "s"), ` ${row.size}`) : null];
 }
 
 // A follower's cause says more than its own verdict.
@@ -29,10 +28,10 @@ function inside(row) {
     h("span", { class: "unseen" }, spoken(row)),
     h("span", { class: "tile-head", ...seen }, symbol(key), h("b", { class: "tile-name" }, row.name),
       row.unacknowledged ? h("span", { class: "flag" }, "unack") : null,
-      row.grade ? h("span", { class: "grade", title: `grade ${row.grade}` }, row.grade) : null),
+      row.verdict ? h("span", { class: "grade", title: row.grade ? `grade ${row.grade}` : "not graded: only a finding of stiction is" }, row.grade ?? "–") : null),
     h("span", { class: "tile-words", title: wordsOf(row), ...seen }, wordsOf(row)),
     h("span", { class: "tile-numbers", ...seen }, numbers(row)),
-    h("span", { class: "tile-foot", ...seen }, spark(row.recent ?? []),
+    h("span", { class: "tile-foot", ...seen }, row.recent?.length > 1 ? [h("span", { title: "probability that the valve sticks over the last windows, 0 to 1" }, "p"), spark(row.recent)] : null,
       row.s_trend && row.stiction ? h("span", { class: `trend ${row.s_trend}`, title: `s is ${row.s_trend}` }, TREND[row.s_trend]) : null,
       h("span", { class: `age${row.silent ? " old" : ""}` }, ageWords(row))),
   ];
@@ -49,9 +48,9 @@ function ageWords(row) {
 function spoken(row) {
   const parts = [row.name, NE107[neOf(row)].name, wordsOf(row)];
   if (row.unacknowledged) parts.push("alarm unacknowledged");
-  if (row.p_stiction !== null) parts.push(`stiction ${seen(row.p_stiction, row.stiction)}`);
-  const size = sizeOf(row, opUnit(row));
-  if (size) parts.push(`s ${size}${row.s_trend ? `, ${row.s_trend}` : ""}`);
+  if (row.stale) parts.push("an old answer");
+  if (row.probability) parts.push(`stiction ${row.probability}`);
+  if (row.size) parts.push(`s ${row.size}${row.s_trend ? `, ${row.s_trend}` : ""}`);
   if (row.grade) parts.push(`grade ${row.grade}`);
   return parts.join(", ");
 }
@@ -92,7 +91,7 @@ export class Tiles {
     const row = this.rows().get(tile.name);
     if (!row || tile.drawn === row) return;
     tile.drawn = row;
-    tile.a.className = `tile is-${neOf(row)}`;
+    tile.a.className = `tile is-${neOf(row)}${row.stale ? " old-answer" : ""}`;
     fill(tile.a, inside(row));
   }
 

@@ -1,41 +1,33 @@
 // The words of the page: verdicts, NE 107, alarm states, gates, and the order of what matters.
 
 import { svg } from "./dom.js";
-import { estimate, number, probability } from "./format.js";
-import { VERDICTS as LISTED } from "./verdicts.js";
+import { SIGNS, VERDICTS as LISTED } from "./verdicts.js";
 
 export const VERDICTS = { ...LISTED, none: { short: "no window yet", words: "no window yet" } };
 
 export const verdictOf = (row) => row.verdict ?? "none";
 
-/** NAMUR NE 107, most pressing first on this page: what a valve needs, then what hides the answer. */
-export const NE107 = {
-  M: { name: "maintenance required", says: "stiction alarm" },
-  F: { name: "failure of the signal", says: "signal frozen, bad or missing" },
-  S: { name: "out of specification", says: "oscillates, or sticks without an alarm yet" },
-  C: { name: "function check", says: "in manual or out of service" },
-  none: { name: "no window yet", says: "collecting a first window" },
-  ok: { name: "OK", says: "no sign of stiction found" },
-};
+/** NAMUR NE 107, most pressing first, and what has no answer yet. */
+export const NE107 = { ...SIGNS, wait: { name: "no answer", says: "no window yet, or none that can answer" } };
 
-export const neOf = (row) => row.ne107 ?? "none";
+export const neOf = (row) => row.ne107 ?? "wait";
 
 const SHAPES = {
   M: [["rect", { x: 2, y: 2, width: 20, height: 20, rx: 3 }], 16.3],
   F: [["circle", { cx: 12, cy: 12, r: 10.5 }], 16.3],
   S: [["path", { d: "M12 1.5 L23 22 H1 Z" }], 19.6],
   C: [["path", { d: "M12 22.5 L23 2 H1 Z" }], 13.2],
-  ok: [["circle", { cx: 12, cy: 12, r: 9.5 }], 0],
   none: [["circle", { cx: 12, cy: 12, r: 9.5 }], 0],
+  wait: [["circle", { cx: 12, cy: 12, r: 9.5 }], 0],
 };
 
 /** The symbol: a shape of its own for every status, with its letter; a word is always beside it. */
 export function symbol(key, size = 22) {
-  const [[tag, props], baseline] = SHAPES[key] ?? SHAPES.none;
+  const [[tag, props], baseline] = SHAPES[key] ?? SHAPES.wait;
   const inner = [svg(tag, { ...props, class: "shape" })];
   if (baseline) inner.push(svg("text", { x: 12, y: baseline, "text-anchor": "middle", class: "letter" }, key));
-  if (key === "ok") inner.push(svg("path", { d: "M7 12.5 L10.7 16 L17 8.7", class: "tick" }));
-  if (key === "none") inner.push(svg("path", { d: "M12 7 V12 L15.5 14", class: "tick" }));
+  if (key === "none") inner.push(svg("path", { d: "M8 12 H16", class: "tick" }));
+  if (key === "wait") inner.push(svg("path", { d: "M12 7 V12 L15.5 14", class: "tick" }));
   return svg("svg", { class: `ne ne-${key}`, width: size, height: size, viewBox: "0 0 24 24", "aria-hidden": "true", focusable: "false" }, inner);
 }
 
@@ -96,41 +88,5 @@ const GATES = {
 /** A name with underscores as words; what is not known is shown as it is. */
 export const plain = (name) => GATES[name] ?? String(name ?? "").replaceAll("_", " ");
 
-/** How far an answer may be trusted. */
-export const GRADES = {
-  A: "grade A: very good",
-  B: "grade B: good",
-  C: "grade C: with reservations",
-  D: "grade D: no answer",
-};
-
-const NE_RANK = { M: 5, F: 3, S: 2, C: 1.5, none: 1, ok: 0 };
-const PRIORITY_RANK = { urgent: 4, high: 3, medium: 2, low: 1 };
-const CLASS_RANK = { strong: 3, moderate: 2, weak: 1 };
-
-/** How pressing a loop is; greater comes first. */
-export function severity(row) {
-  const rank = NE_RANK[neOf(row)] + (row.ne107 === "S" && row.stiction ? 2 : 0);
-  const weight = PRIORITY_RANK[row.priority] ?? 0;
-  return rank * 1e4 + weight * 1e3 + (row.unacknowledged ? 500 : 0) + (CLASS_RANK[row.class] ?? 0) * 100 + (row.p_stiction ?? 0) * 100 + Math.min(row.s ?? 0, 99) / 10;
-}
-
-/** Unit of s. */
+/** Unit of OP. */
 export const opUnit = (row) => row?.op_unit ?? "OP units";
-
-/** The probability as it is shown: below the decision threshold "not seen", with the figure behind it. */
-export const seen = (p, stiction) => (stiction === false ? `not seen (p ${probability(p)})` : `p ${probability(p)}`);
-
-/** s of a loop or estimate whose valve sticks; a lower bound where the estimate reaches its own; null otherwise. */
-export function sizeOf(found, unit) {
-  if (found.stiction !== true || found.s === null || found.s === undefined) return null;
-  if (atBound(found)) return `at least ${number(found.s_interval?.[0] ?? found.s)} ${unit}`;
-  return estimate(found.s, found.s_interval, unit);
-}
-
-// Where the estimate or its interval ends at OP's span, s was not measured upwards; rows of lists say so themselves.
-function atBound(found) {
-  if (found.s_at_least !== undefined) return found.s_at_least;
-  const span = found.s_over_span ? found.s / found.s_over_span : Infinity;
-  return Math.max(found.s, found.s_interval?.[1] ?? 0) >= 0.999 * span;
-}

@@ -8,7 +8,7 @@ const NAMES = { fopdt: "First order", sopdt: "Second order", auto: "Order chosen
 /** Lines that are not folded. */
 const MOST_LINES = 3;
 
-const KINDS = { stiction: "bad", deadband: "bad", disturbance: "other", tuning: "other", not_oscillating: "other", cause_unknown: "other" };
+const KINDS = { stiction: "bad", deadband: "bad", disturbance: "other", tuning: "other", not_oscillating: "none", cause_unknown: "other" };
 
 /** A verdict as a badge with its word; never colour alone. */
 export function badge(h, verdict) {
@@ -39,8 +39,8 @@ function rows(format, units) {
   };
   const between = ([low, high]) => `${n(low)} to ${n(high)}${op ? ` ${op}` : ""}`;
   return [
-    ["Stiction", "p", (d) => (d.stiction === false ? `not seen (p ${format.probability(d.p_stiction)})` : format.probability(d.p_stiction))],
-    ["Grade", "A surest, D no answer", (d) => d.grade ?? "–"],
+    ["Stiction", "p", (d) => d.probability ?? format.probability(d.p_stiction)],
+    ["Grade", "of a finding: A surest", (d) => d.grade ?? "–"],
     ["Deadband + stickband, s", "fs + fd", (d) => interval(format, d.s, d.s_interval, op)],
     ["Slip jump, j", "fs − fd", (d) => (d.j_identifiable === false ? `${interval(format, d.j, d.j_interval, op)}, not identifiable` : interval(format, d.j, d.j_interval, op))],
     ["Static band, fs", "", (d) => interval(format, d.fs, d.fs_interval, op)],
