@@ -9,6 +9,7 @@ use super::judgement::{Judgement, grade};
 use super::params::AssessParams;
 use super::rule::Rule;
 use super::screen;
+use super::valve_position::ValvePosition;
 use crate::ident::Estimate;
 use crate::ident::controller::Reading;
 use crate::ident::region::{region, severity_by_range, strength_by_span};
@@ -54,6 +55,7 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
     let whole = Assessment {
         gates: first.gates.clone(),
         interval_level: Some(INTERVAL_LEVEL),
+        valve_position: ValvePosition::of(record),
         ..Assessment::empty(window, describe(first.oscillation().as_ref(), record))
     };
     if let Some(gate) = first.blocking() {
@@ -99,7 +101,7 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
         reason: judgement.reason,
         p_stiction: Some(p),
         confidence,
-        stiction_index: fit.map(|e| e.index),
+        stiction_index: fit.map(Estimate::stiction_index),
         controller: answer.controller.as_ref().map(as_document),
         indicators: Rule::shipped().indicators(&answer.features),
         explanation: Some(answer.opinion),
@@ -135,6 +137,7 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
         severity_by_range: params.op_range.and_then(|range| severity_by_range(e.s, range)),
         valve_model: Some(e.law),
         process: answer.sized.process(),
+        fitted_by: Some(e.basis),
         ..found
     }
 }

@@ -70,6 +70,9 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
     if a.stiction != Some(false) && a.s.is_some() {
         bands(a, rows);
     }
+    if let Some(position) = &a.valve_position {
+        rows.add("MV", position.words());
+    }
     if let Some(index) = a.stiction_index {
         rows.add("index", number(Some(index)));
     }
@@ -89,7 +92,8 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
 }
 
 fn bands(a: &Assessment, rows: &mut Rows) {
-    rows.add("bands", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));
+    let law = a.valve_model.map_or_else(String::new, |law| format!(", {}", law.words()));
+    rows.add("bands", format!("fs {}  fd {}  (OP units{law})", number(a.fs), number(a.fd)));
     let reached = if words::at_bound(a) { " (bound reached: at least the lower end of its interval)" } else { "" };
     rows.add("", format!("s {}  j {}  s/span {}{reached}", number(a.s), number(a.j), number(a.s_over_span)));
     for (name, interval) in [("s", a.s_interval), ("j", a.j_interval), ("fs", a.fs_interval), ("fd", a.fd_interval)] {
