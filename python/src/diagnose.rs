@@ -13,7 +13,7 @@ use crate::{StictionError, refused};
 use stiction_core::gap::model_file::ModelFile;
 use stiction_core::gap::{Executor, GapError, effects, text};
 use stiction_monitor::analysis::gap::{
-    BaseChoice, DiagnosedWindow, GapSettings, decide_together, diagnose as diagnosed, neighbour, record,
+    BaseChoice, DiagnosedWindow, GapSettings, assessment, decide_together, diagnose as diagnosed, neighbour, record,
 };
 use stiction_monitor::analysis::predictions::{Row, rows};
 use stiction_monitor::analysis::{Points, Section};
@@ -142,7 +142,8 @@ pub fn diagnose<'py>(
             let until = settings.budget_s.map(|s| Instant::now() + Duration::from_secs_f64(s));
             let before = options.budget_evaluations * at as u64;
             let executor = Threads { threads: team, before, until, watch };
-            let alone = diagnosed(&name, record, &options, &executor).map_err(|e| told(e.to_string()))?;
+            let judged = assessment(&points, *section, &cut);
+            let alone = diagnosed(&name, record, &options, &executor, judged).map_err(|e| told(e.to_string()))?;
             windows.push(DiagnosedWindow { source, alone });
         }
         let (shown, found) = if windows.len() > 1 {
@@ -155,7 +156,7 @@ pub fn diagnose<'py>(
         let rows = rows(&whole, &found.record, &found.diagnosis);
         let d = &found.document;
         let said = json!({
-            "words": text::answer(d), "paragraph": text::paragraph(d), "text": text::report(d), "notes": notes,
+            "words": text::answer(d), "paragraph": text::paragraph(d), "text": text::verbose(d), "notes": notes,
         });
         let document = serde_json::to_string(d).map_err(|e| e.to_string())?;
         Ok((document, said.to_string(), rows))

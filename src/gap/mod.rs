@@ -92,6 +92,9 @@ pub struct Diagnose {
     /// Write a page with pictures: simulation against plant before and after, and where the gap lies.
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
+    /// Print all figures behind the answer, too.
+    #[arg(long)]
+    pub verbose: bool,
     /// Replace existing outputs.
     #[arg(long)]
     pub force: bool,
@@ -159,7 +162,7 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
         answered += 1;
         match diagnose(args, (&settings, &neighbours), one, &points, section) {
             Ok(found) => {
-                print(&found, format)?;
+                print(&found, args.verbose, format)?;
                 write_predictions(args, &points, &found, section)?;
                 done.push(found);
             }
@@ -223,7 +226,8 @@ fn diagnose(
     options.neighbours = neighbours.beside(&one.name, &record)?;
     let bar = Bar::new(&one.name, options.budget_evaluations);
     let team = Team::new(&bar, &options, settings.budget_s.map(Duration::from_secs_f64));
-    let found = analysis::gap::diagnose(&one.name, record, &options, &team);
+    let assessment = analysis::gap::assessment(points, section, &args.selection.cut());
+    let found = analysis::gap::diagnose(&one.name, record, &options, &team, assessment);
     bar.0.finish_and_clear();
     found.with_context(|| format!("{}: loop {}", args.input(), one.name))
 }
@@ -252,9 +256,10 @@ impl Watch for Bar {
     }
 }
 
-fn print(found: &Diagnosed, format: Format) -> anyhow::Result<()> {
+fn print(found: &Diagnosed, verbose: bool, format: Format) -> anyhow::Result<()> {
     match format {
         Format::Json => say(serde_json::to_string(&found.document)?)?,
+        Format::Text if verbose => say(text::verbose(&found.document))?,
         Format::Text => say(text::report(&found.document))?,
     }
     Ok(())

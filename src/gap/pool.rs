@@ -92,7 +92,7 @@ pub(super) fn run(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     }
     let (shown, found) = decide_together(&windows, &settings).map_err(|e| anyhow!("{e}"))?;
     let window = &read.windows[shown];
-    print(&found, format)?;
+    print(&found, args.verbose, format)?;
     write_predictions(args, &window.points, &found, window.section)?;
     if let Some(path) = &args.report {
         write_report(args, path, &read.warnings, vec![found])?;

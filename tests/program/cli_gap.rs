@@ -172,8 +172,13 @@ fn the_text_can_be_read_aloud() {
         assert!(text.contains(part), "{part:?} is missing: {text}");
     }
     assert!(text.ends_with('.') && text.chars().next().unwrap().is_uppercase() | text.starts_with(char::is_numeric));
-    let out = expect(0, &["gap", &path("lagging.csv"), "--budget", "1"]);
-    assert!(stdout(&out).starts_with("lagging: ") && stdout(&out).contains("excitation"), "{}", stdout(&out));
+    let short = stdout(&expect(0, &["gap", &path("lagging.csv"), "--budget", "1"]));
+    assert!(short.starts_with("lagging: ") && short.lines().count() == 4, "{short}");
+    let analyzed = stdout(&expect(0, &["analyze", &path("lagging.csv")]));
+    let sentence = document.valve.map(|valve| valve.sentence).unwrap_or_default();
+    assert!(analyzed.lines().next().unwrap().ends_with(&sentence) && short.contains(&sentence), "{analyzed}{short}");
+    let all = stdout(&expect(0, &["gap", &path("lagging.csv"), "--budget", "1", "--verbose"]));
+    assert!(all.contains("excitation") && all.contains("budget"), "{all}");
 }
 
 #[test]

@@ -31,7 +31,8 @@ impl Detail {
     pub fn of(record: &Record, params: &AssessParams, a: &Assessment) -> Option<Self> {
         let model = a.model()?;
         let options = params.options(a.oscillation.period_s.map(|p| p / record.point_s()));
-        let plots = FitPlots::new(record, &options, &model)?;
+        let rho = a.fitted_by.map_or(0.0, |basis| basis.error_filter);
+        let plots = FitPlots::new(record, &options, &model)?.behind(rho);
         let other = |k: usize| options.seed.wrapping_add(1_000 + k as u64);
         Some(Self {
             span: plots.span(),

@@ -2,6 +2,7 @@
 
 use stiction_core::ident::fit_plots::{ErrorMap, Optimum};
 use stiction_core::ident::region::{BOUNDS, STRENGTHS};
+use stiction_core::ident::{OrderBy, OrderChoice};
 use stiction_core::record::Record;
 use stiction_core::signal::{lag, stats};
 use stiction_core::verdict::Assessment;
@@ -218,7 +219,8 @@ fn phases(of: &Subject<'_>) -> Figures {
     let mut out = vec![
         Figure {
             picture: phase("Phase plot", of, record, 0, None)?,
-            caption: "PV over OP as recorded. A sticking valve leaves stretches in which OP moves and PV does not."
+            caption: "PV over OP as recorded. Lag and dead time open it whether or not the valve sticks: with a lag that is \
+                      short against the period, a sticking valve shows stretches in which OP moves and PV does not."
                 .to_owned(),
             wide: false,
         },
@@ -283,7 +285,7 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
     overlays.push(Overlay { name: "least", points: least, mark: Mark::Dots, ink: Ink::Error });
     let [op_unit, _] = &of.tags.units;
     let picture = heat_map(&HeatMap {
-        title: &format!("Error map, order {}", map.order),
+        title: &format!("Error map, {}, order {}", map.law.words(), map.order),
         size: [HALF, 400],
         x_label: &format!("fs, {op_unit}"),
         y_label: &format!("fd, {op_unit}"),
@@ -306,12 +308,19 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
         .map(|(place, word)| (place.map(|v| v * span), word))
         .to_vec(),
     })?;
-    let mark = if chosen { " This estimate has this order." } else { "" };
+    let mark = if chosen { " This estimate has this law and order." } else { "" };
+    let rho = a.fitted_by.map_or(0.0, |basis| basis.error_filter);
+    let filtered = if rho > 0.0 {
+        format!(", behind the filter 1 - {} q^-1 that makes the residual white, as it was minimised", number(rho))
+    } else {
+        String::new()
+    };
     let caption = format!(
-        "Free-run error over the bands, order {}: each cell with its best process. Below the line fs + fd = S0 = {}. \
+        "Free-run error over the bands, {}, order {}{filtered}: each cell with its best process. Below the line fs + fd = S0 = {}. \
          Least cell: fs {}, fd {}. Box, the suggested region: fs {} to {}, fd {} to {}. It holds the cells within a \
-         tenth of the way from the least squared error to that without friction. Grey: the stem moves too seldom for a \
+         tenth of the way from the least squared error to that without friction, and the answer's. Grey: the stem moves too seldom for a \
          model.{mark}",
+        map.law.words(),
         map.order,
         number(span),
         number(map.best.fs),
@@ -362,36 +371,50 @@ fn extremes(values: &[f64]) -> String {
 
 fn orders(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
     let chart = &detail.orders;
-    let labels: Vec<String> = chart
-        .figures
-        .iter()
-        .flat_map(|f| [format!("order {}, fitted", f.order), format!("order {}, held out", f.order)])
-        .collect();
-    let values = chart.figures.iter().flat_map(|f| [(f.fitted_rms, Ink::Other), (f.held_out_rms, Ink::Fit)]);
-    let rows: Vec<Bar<'_>> = labels
-        .iter()
-        .zip(values)
-        .map(|(label, (v, ink))| Bar { label, value: Some(v), interval: None, ink, note: "" })
-        .collect();
-    let picture = bars("Decision chart of the order", HALF, &format!("rms error, {}", of.tags.units[1]), &rows)?;
-    let gained = match chart.figures.as_slice() {
-        [one, two] if one.held_out_rms > 0.0 => {
-            let ratio = two.held_out_rms / one.held_out_rms;
-            let removed = 100.0 * (1.0 - ratio * ratio);
-            let word = if removed < 0.0 { "adds" } else { "removes" };
-            format!("it {word} {} %", number(removed.abs()))
-        }
-        _ => "one of them cannot be fitted".to_owned(),
-    };
+    let choice = of.assessment.fitted_by.map(|basis| basis.order);
     let chosen = of.assessment.process.as_ref().map_or(0, |p| p.order);
-    let caption = format!(
-        "Errors on the whole record, and on its last {:.0} % with the process fitted to the first {:.0} %. With --model \
-         auto the second order is kept if it removes {:.0} % of the held-out squared error: {gained}. This \
-         estimate has order {chosen}.",
+    let mut rows = Vec::new();
+    for (at, f) in chart.figures.iter().enumerate() {
+        // The errors that decided, not others of their kind.
+        let held_out = match choice {
+            Some(choice) if choice.by != OrderBy::Asked => choice.held_out_rms.and_then(|both| both.get(at).copied()),
+            _ => Some(f.held_out_rms),
+        };
+        rows.push((format!("order {}, fitted", f.order), f.fitted_rms, Ink::Other));
+        rows.extend(held_out.map(|rms| (format!("order {}, held out", f.order), rms, Ink::Fit)));
+    }
+    let bar = |(label, value, ink): &(String, f64, Ink)| {
+        (label.clone(), Bar { label: "", value: Some(*value), interval: None, ink: *ink, note: "" })
+    };
+    let rows: Vec<(String, Bar<'_>)> = rows.iter().map(bar).collect();
+    let rows: Vec<Bar<'_>> = rows.iter().map(|(label, bar)| Bar { label, ..*bar }).collect();
+    let picture = bars("Decision chart of the order", HALF, &format!("rms error, {}", of.tags.units[1]), &rows)?;
+    let held_out = format!(
+        "on its last {:.0} % with the process fitted to the first {:.0} %",
         100.0 * (1.0 - chart.fitted_share),
-        100.0 * chart.fitted_share,
-        100.0 * chart.must_remove,
+        100.0 * chart.fitted_share
     );
+    let why = match choice {
+        Some(OrderChoice { by: OrderBy::HeldOut, held_out_rms: Some([one, two]), rho }) => {
+            let removed = 100.0 * (1.0 - (two / one) * (two / one));
+            let word = if removed < 0.0 { "adds" } else { "removes" };
+            let filter = if rho > 0.0 { " behind the filter that makes the residual white" } else { "" };
+            format!(
+                "Errors on the whole record, and{filter} {held_out}. The second order is kept where it removes {:.0} % of the \
+                 held-out squared error: it {word} {} %.",
+                100.0 * chart.must_remove,
+                number(removed.abs())
+            )
+        }
+        Some(OrderChoice { by: OrderBy::Asked, .. }) => {
+            format!("Errors on the whole record, and {held_out}. The order was asked for.")
+        }
+        _ if chosen == 1 => "Errors on the whole record. The search found no slips for which a second lag promised to \
+                             remove enough of the error, so the orders were not compared on held-out data."
+            .to_owned(),
+        _ => "Errors on the whole record. The first order could not be fitted to these slips.".to_owned(),
+    };
+    let caption = format!("{why} This estimate has order {chosen}.");
     Ok(Figure { picture, caption, wide: false })
 }
 

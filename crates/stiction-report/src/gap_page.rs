@@ -53,7 +53,7 @@ fn overview(report: &GapReport) -> Markup {
             div.scroll {
                 table.overview {
                     thead { tr {
-                        th { "loop" } th { "answer" } th.number { "p" } th.number { "gap, PV units" }
+                        th { "loop" } th { "valve" } th { "gap" } th.number { "p" } th.number { "gap, PV units" }
                         th.number.more { "of PV's deviation, %" } th.number { "closed, %" }
                     } }
                     tbody {
@@ -61,6 +61,7 @@ fn overview(report: &GapReport) -> Markup {
                             @let d = &one.document;
                             tr {
                                 td.name { a href=(format!("#loop-{k}")) { (d.loop_name) } }
+                                td { (d.valve.as_ref().map_or_else(String::new, |valve| valve.title())) }
                                 td { (text::answer(d)) }
                                 td.number { (probability(d.cause.probability)) }
                                 td.number { (number(d.gap.gap)) }
@@ -84,11 +85,16 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
     flatten("", &document, &mut rows);
     Ok(html! {
         details.loop open[open] {
-            summary { span.name { (d.loop_name) } " " (text::answer(d)) span.soft { " p " (probability(d.cause.probability)) } }
+            summary { span.name { (d.loop_name) } " " (text::title(d)) }
             div id=(format!("loop-{k}")) {
                 section.card {
                     @let [conclusion, next, cost] = text::summary(d);
-                    p.headline { (conclusion) }
+                    @if d.valve.is_some() {
+                        p.headline { (text::sentence(&text::title(d))) }
+                        p { (conclusion) }
+                    } @else {
+                        p.headline { (conclusion) }
+                    }
                     p { (next) } p { (cost) }
                     p.soft { (text::paragraph(d)) }
                     dl {
@@ -108,6 +114,9 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
                             dt { "With MV" } dd {
                                 "OP to valve position: " (number(op.unexplained_pct)) " % unexplained; valve position to PV: gap " (number(pv.gap)) "."
                             }
+                        }
+                        @if let Some(position) = d.valve.as_ref().and_then(|valve| valve.position) {
+                            dt { "Valve position" } dd { (text::sentence(&position.words())) }
                         }
                         @if let Some(f) = d.forward {
                             dt { "Forward" } dd {

@@ -255,14 +255,15 @@ impl<'b> Bench<'b> {
         let (record, notes) = analysis::gap::record(self.points, section, &self.job.task.cut).map_err(wrong)?;
         let options = settings.options(&record);
         let team = Team::new(step, &options, settings.budget_s.map(Duration::from_secs_f64));
-        let found = analysis::gap::diagnose(&self.one.name, record, &options, &team).map_err(wrong)?;
+        let assessment = analysis::gap::assessment(self.points, section, &self.job.task.cut);
+        let found = analysis::gap::diagnose(&self.one.name, record, &options, &team, assessment).map_err(wrong)?;
         let whole = self.points.samples(section).map_err(wrong)?;
         let told = SectionResult {
             section: section.words(),
             document: serde_json::to_value(&found.document).map_err(|error| Fault::own(error.to_string()))?,
-            text: gap_text::report(&found.document),
+            text: gap_text::verbose(&found.document),
             words: vec![
-                Said { about: "Answer", text: gap_text::answer(&found.document) },
+                Said { about: "Answer", text: gap_text::title(&found.document) },
                 Said { about: "In short", text: gap_text::paragraph(&found.document) },
             ],
             notes: self.points.notes.iter().chain(&notes).cloned().collect(),

@@ -4,24 +4,30 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::agree;
 use super::budget::document::{BudgetNote, CANNOT_BE_TOLD, NOT_IN_CATALOGUE, TOLD, TellableNote};
 use super::budget::{self, Budget};
 use super::decide::LITTLE;
 use super::effects;
+use super::enough::EnoughNote;
 use super::judged::Diagnosis;
 use super::locate::{Location, Subject, locate};
-use super::loop_run::Cycles;
+use super::loop_run::{self, Cycles};
 use super::model::Model;
+use super::next_test::HOLDS;
 use super::pool::WindowNote;
+use super::set_point::{self, Move};
 use super::sizes::{Quantity, share_left};
 use super::types::{
     Alternative, Base, Cause, Compared, EffectResult, Ended, Fit, Forward, FromSp, GapOptions, NONE, NextTest,
     NoiseModels, Parameter, Stage, UNKNOWN,
 };
 use super::typical::{self, Known, TypicalNote};
+use super::valve_note::ValveNote;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::units::Moment;
+use crate::verdict::Assessment;
 
 /// Schema name of a diagnosis.
 pub const GAP_SCHEMA: &str = "stictiond.gap.v1";
@@ -123,6 +129,9 @@ pub struct EffectNote {
     pub separated_by: String,
     /// Whether its training error reaches the noise floor; `None` for effects without simulation.
     pub at_floor: Option<bool>,
+    /// Whether it is a wave with the period of the sticking valve's limit cycle, which makes it.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub own_cycle: bool,
 }
 
 /// The answer.
@@ -206,6 +215,12 @@ pub struct TestNote {
     pub separates: [String; 2],
     /// Probability that it distinguishes them.
     pub p: f64,
+    /// How long the whole test takes, s.
+    #[serde(default)]
+    pub total_s: f64,
+    /// How far PV goes, PV units.
+    #[serde(default)]
+    pub moves_pv: f64,
 }
 
 /// The model with the cause, as accepted by `simulate`, `analyze` and `gap --base`, with the terms of an estimate.
@@ -252,8 +267,14 @@ pub struct GapDocument {
     pub loop_name: String,
     /// Time range of the diagnosis.
     pub window: Window,
+    /// What `analyze` says of the valve in the same record.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub valve: Option<ValveNote>,
     /// Base model.
     pub base: BaseNote,
+    /// That the base is good enough; absent where it is not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub good_enough: Option<EnoughNote>,
     /// Gap of the refitted base.
     pub gap: Figures,
     /// Gap of the given model.
@@ -320,29 +341,58 @@ pub fn closed_pct(before: f64, after: f64) -> Option<f64> {
 }
 
 impl GapDocument {
-    /// Makes the document of a diagnosis of a record with these options.
+    /// Makes the document of a diagnosis of a record with these options, which says nothing of the valve by itself.
     #[must_use]
     pub fn new(loop_name: &str, record: &Record, options: &GapOptions, diagnosis: &Diagnosis) -> Self {
-        let [effects, pairs] = [&diagnosis.findings.effects, &diagnosis.findings.pairs]
+        Self::beside(loop_name, record, options, diagnosis, None)
+    }
+
+    /// The same beside what `analyze` makes of the record.
+    #[must_use]
+    pub fn beside(
+        loop_name: &str,
+        record: &Record,
+        options: &GapOptions,
+        diagnosis: &Diagnosis,
+        assessment: Option<&Assessment>,
+    ) -> Self {
+        let valve = assessment.map(ValveNote::of);
+        let [mut effects, pairs] = [&diagnosis.findings.effects, &diagnosis.findings.pairs]
             .map(|all| all.iter().map(EffectNote::of).collect::<Vec<_>>());
-        let closed_loop = super::loop_run::cycles(record, diagnosis);
+        let closed_loop = loop_run::cycles(record, diagnosis);
         let budget = Budget::of(record, known(diagnosis));
         let explained = closed_loop.as_ref().map(|cycles| cycles.controller.r2);
         let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.findings.base.slips, explained));
-        let cause = CauseNote::of(diagnosis, tellable.as_ref());
+        let mut cause = CauseNote::of(diagnosis, tellable.as_ref());
+        let sp_moves = set_point::moves(record);
+        let against = held_against(record, diagnosis, &effects, (valve.as_ref(), &sp_moves));
+        let own_cycle: Vec<bool> = effects.iter().map(|e| against.is_own_cycle(e)).collect();
+        let is_doubtful = |e: &EffectNote| against.is_own_cycle(e) || against.follows_set_point(e);
+        cause.confirmed &= !effects.iter().any(|e| e.id == cause.id && is_doubtful(e));
         let named = effects.iter().chain(&pairs).find(|e| e.id == cause.id);
         let named = named.map(|e| (&e.parameters, cause.confirmed));
-        let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.findings.signatures, named));
+        let mut budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.findings.signatures, named));
+        if let Some(budget) = &mut budget {
+            against.settle(budget);
+        }
+        effects.iter_mut().zip(own_cycle).for_each(|(effect, own)| effect.own_cycle = own);
         let deviation = stats::std_dev(&record.pv);
         let spent = diagnosis.spent;
         let figures = |fit: &Fit| Figures::of(fit, diagnosis.findings.floor.noise_floor, deviation);
         let given = diagnosis.findings.given.as_ref().map(figures);
+        let gap = figures(&diagnosis.findings.base);
+        let floor = gap.noise_floor.map(|floor| floor / deviation);
+        let good_enough = gap.relative.and_then(|left| EnoughNote::of(left, floor));
+        // One guard for all tests of one valve.
+        let may_test = valve.as_ref().is_none_or(|valve| valve.no_bump_test.is_none() && valve.position.is_none());
         Self {
             schema: GAP_SCHEMA.to_owned(),
             loop_name: loop_name.to_owned(),
             window: Window::of(record),
             base: BaseNote::of(&options.base, &diagnosis.findings.base),
-            gap: figures(&diagnosis.findings.base),
+            valve,
+            good_enough,
+            gap,
             given,
             parametric: given.map(|g| g.gap - diagnosis.findings.base.gap),
             location: locate(record, &Subject::of(diagnosis, options.period_points, options.seed)),
@@ -352,7 +402,7 @@ impl GapDocument {
             alternatives: diagnosis.alternatives.iter().map(AlternativeNote::of).collect(),
             forward: diagnosis.forward.map(ForwardNote::of),
             model_after: ModelAfter::of(&diagnosis.model_after),
-            next_test: diagnosis.next_test.as_ref().map(TestNote::of),
+            next_test: diagnosis.next_test.as_ref().filter(|_| may_test).map(TestNote::of),
             evaluations: spent.evaluations,
             search: SearchNote { evaluations: spent.evaluations, budget: spent.budget, ended: spent.ended },
             stopped_early: spent.stopped_early,
@@ -384,6 +434,28 @@ impl GapDocument {
     #[must_use]
     pub fn named(&self) -> Option<&EffectNote> {
         self.effects.iter().chain(&self.pairs).find(|e| e.id == self.cause.id)
+    }
+}
+
+/// What the budget of a diagnosis is held against.
+fn held_against<'a>(
+    record: &Record,
+    diagnosis: &Diagnosis,
+    effects: &'a [EffectNote],
+    (valve, sp_moves): (Option<&ValveNote>, &'a [Move]),
+) -> agree::Known<'a> {
+    let base = &diagnosis.findings.base;
+    let sticks = valve.is_some_and(ValveNote::does_stick);
+    let model = if base.model.valve.law == "none" { &diagnosis.model_after } else { &base.model };
+    let noise_sd = diagnosis.findings.floor.noise_sd.unwrap_or(0.0);
+    agree::Known {
+        effects,
+        cycle_s: valve.and_then(|valve| valve.cycle_s),
+        of_friction: sticks.then(|| loop_run::share_of_friction(record, model, noise_sd)).flatten(),
+        sp_moves,
+        point_s: record.point_s(),
+        record_s: record.len() as f64 * record.point_s(),
+        answer_s: base.dead_time_s + base.time_constants_s.iter().sum::<f64>(),
     }
 }
 
@@ -428,8 +500,8 @@ impl ForwardNote {
 
 impl TestNote {
     fn of(test: &NextTest) -> Self {
-        let NextTest { signal, size, duration_s, separates, p } = test.clone();
-        Self { signal: signal.to_owned(), size, duration_s, separates, p }
+        let NextTest { signal, size, duration_s, separates, p, moves_pv } = test.clone();
+        Self { signal: signal.to_owned(), size, duration_s, separates, p, total_s: HOLDS * duration_s, moves_pv }
     }
 }
 
@@ -488,6 +560,7 @@ impl EffectNote {
             confusable_with: effect.confusable_with.iter().map(|id| (*id).to_owned()).collect(),
             separated_by: effect.separated_by.to_owned(),
             at_floor: effect.fit.as_ref().filter(|_| effect.simulated).map(|f| f.at_floor),
+            own_cycle: false,
         }
     }
 }

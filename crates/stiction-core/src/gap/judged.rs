@@ -1,5 +1,6 @@
 //! What a diagnosis found, what is named for it, and what was computed for that name.
 
+use super::agree::is_physical;
 use super::decide::{self, Decision};
 use super::effects;
 use super::evidence::{Basis, Evidence};
@@ -86,6 +87,10 @@ impl Findings {
             return cause.id == NONE && self.base.at_floor;
         }
         let result = self.result(&cause.id);
+        let parameters = result.iter().flat_map(|e| &e.parameters);
+        if parameters.into_iter().any(|p| effects::parts(&cause.id).any(|id| !is_physical(id, p.name, p.value))) {
+            return false;
+        }
         // A trace is there; whether it makes the gap, is for held-out blocks to say where a free run can follow it.
         let closes = result.and_then(|e| e.closed_pct).is_none_or(|closed| closed > 0.0);
         let trace = closes && self.signatures.iter().any(|s| s.met && s.id == cause.id);

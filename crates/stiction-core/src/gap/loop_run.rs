@@ -9,7 +9,7 @@ use super::effects;
 use super::forward::FirstPart;
 use super::in_loop::{NoPlace, Parts, Stated};
 use super::judged::Diagnosis;
-use super::model::Model;
+use super::model::{Model, Valve};
 use super::types::FromSp;
 use crate::detect::oscillation;
 use crate::ident::controller::{self, Reading};
@@ -171,6 +171,32 @@ fn run(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Opti
     let [op, pv] = simulated(model, reading, record, noise_sd)?;
     let found = cycle(&op, &pv, model.ts_s);
     (found.amplitude_pv.is_finite() && found.amplitude_op.is_finite()).then_some(found)
+}
+
+/// Ratio of the simulated to the recorded cycle, of period and of size, within which it is the recorded one.
+const SAME_CYCLE: f64 = 1.5;
+
+/// Share of PV's variance that goes with the friction where the loop's cycle ends without it: simulated with the valve as
+/// fitted and with one that follows OP. `None` where the simulation does not cycle as the record does, or goes on without.
+#[must_use]
+pub(crate) fn share_of_friction(record: &Record, model: &Model, noise_sd: f64) -> Option<f64> {
+    if model.valve.law == "none" {
+        return None;
+    }
+    let reading = controller::read(record)?;
+    let measured = cycle(&record.op(), &record.pv, record.point_s());
+    let freed = Model { valve: Valve { law: "none".to_owned(), fs: 0.0, fd: 0.0, ..model.valve.clone() }, ..model.clone() };
+    let run = |model: &Model| {
+        let [op, pv] = simulated(model, &reading, record, noise_sd)?;
+        Some((cycle(&op, &pv, model.ts_s), stats::variance(&pv)))
+    };
+    let ((with, pv), (without, pv_freed)) = (run(model)?, run(&freed)?);
+    let near = |x: f64, y: f64| (1.0 / SAME_CYCLE..=SAME_CYCLE).contains(&(x / y));
+    let periods = measured.period_s.zip(with.period_s);
+    let cycles = measured.oscillating && with.oscillating && near(with.amplitude_pv, measured.amplitude_pv);
+    let is_the_same = cycles && periods.is_some_and(|(x, y)| near(y, x));
+    let ends = !without.oscillating || without.amplitude_pv < with.amplitude_pv / SAME_CYCLE;
+    Some((1.0 - pv_freed / pv).clamp(0.0, 1.0)).filter(|share| is_the_same && ends && share.is_finite())
 }
 
 /// Whether the record's set point moves enough to show the process.

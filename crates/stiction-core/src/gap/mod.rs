@@ -3,6 +3,7 @@
 //! [`diagnose`] fits the base (He's model, first order with dead time) to the training blocks of a record, then the base with
 //! each effect of the [`effects::ALL`] catalogue, and judges them on held-out blocks.
 
+mod agree;
 mod break_away;
 pub mod budget;
 mod candidate;
@@ -10,6 +11,7 @@ mod decide;
 mod diagnosis;
 pub mod document;
 pub mod effects;
+mod enough;
 mod evaluator;
 pub mod evidence;
 mod express;
@@ -37,6 +39,7 @@ mod response;
 mod schedule;
 pub mod score;
 mod search;
+mod set_point;
 mod settle;
 mod signatures;
 mod sizes;
@@ -47,6 +50,7 @@ pub mod text;
 mod traces;
 pub(crate) mod types;
 pub(crate) mod typical;
+mod valve_note;
 mod valve_signal;
 mod weigh;
 

@@ -10,21 +10,37 @@ use super::effects;
 use super::loop_run::Cycles;
 use super::sizes::percent;
 use super::types::{Compared, FromSp, NONE, UNKNOWN};
+use super::valve_note::ValveNote;
 use crate::units::{duration, number, probability};
 pub use budget::{BudgetText, PartText, budget, tellable};
 use claim::Claim;
 
-/// The answer as one paragraph: where, which, how far, what it is indistinguishable from, what would settle it.
+/// The title of a diagnosis: what `analyze` says of the valve, with its size; without that the answer on the gap.
+#[must_use]
+pub fn title(d: &GapDocument) -> String {
+    let alone = || format!("{} (p {})", answer(d), probability(d.cause.probability));
+    d.valve.as_ref().map_or_else(alone, ValveNote::title)
+}
+
+/// The answer as one paragraph: the valve, then the gap.
 #[must_use]
 pub fn paragraph(d: &GapDocument) -> String {
+    let valve = d.valve.as_ref().map_or_else(String::new, |valve| sentence(&valve.title()) + " ");
+    valve + &of_gap(d)
+}
+
+/// The answer on the gap alone: where it is, which effect, how far, what it is indistinguishable from, what would settle it.
+#[must_use]
+pub fn of_gap(d: &GapDocument) -> String {
     let mut parts = Vec::new();
     parts.extend(split_of_given(d));
     parts.push(match d.cause.id.as_str() {
+        _ if d.good_enough.is_some() => good_enough(d),
         NONE => nothing(d),
         UNKNOWN => not_in_the_catalogue(d),
         _ => d.named().map_or_else(|| without_fit(d), |e| named(d, e)),
     });
-    parts.extend(budget::why_unsure(d));
+    parts.extend(budget::why_unsure(d).filter(|_| d.good_enough.is_none()));
     parts.extend(beside(d));
     parts.extend(outside(d));
     if let Some(test) = &d.next_test {
@@ -34,6 +50,26 @@ pub fn paragraph(d: &GapDocument) -> String {
         parts.push("the search ended early, so a better answer may exist (--budget gives it more time)".to_owned());
     }
     sentence(&parts.join("; "))
+}
+
+/// That the model is good enough, as a clause.
+fn enough(d: &GapDocument) -> Option<String> {
+    let e = d.good_enough?;
+    let which = if d.given.is_some() { "the refitted model" } else { "the model" };
+    let limit = if e.is_noise {
+        format!("PV's noise ({} %)", number(e.limit_pct))
+    } else {
+        format!("the limit of {} %", number(e.limit_pct))
+    };
+    Some(format!("{which} is good enough: what is left is {} % of PV's movement, below {limit}", number(e.left_pct)))
+}
+
+/// The same with what shows in the little that is left.
+fn good_enough(d: &GapDocument) -> String {
+    let shows = |e: &EffectNote| {
+        format!("; in what is left, {} shows (p {})", effect::phrase(e), probability(d.cause.probability))
+    };
+    enough(d).unwrap_or_default() + &d.leading().map_or_else(String::new, shows)
 }
 
 /// A cause that the search had no time to fit a free run with.
@@ -74,28 +110,71 @@ fn bump(test: &TestNote) -> String {
     )
 }
 
-/// Three lines for a planner: the valve, not the valve or unknown; what to measure next; what that costs.
+/// Three lines for a planner: what the model leaves and why; what to measure next; what that costs.
 #[must_use]
 pub fn summary(d: &GapDocument) -> [String; 3] {
-    let next = match (&d.next_test, d.leading().map(|e| e.separated_by.as_str()).filter(|by| !by.is_empty())) {
-        (Some(test), _) => bump(test),
-        (None, Some(by)) => by.replace("; ", ", or "),
-        (None, None) => "the valve position beside OP and PV".to_owned(),
-    };
-    let cost = d.next_test.as_ref().map_or_else(
-        || "a measurement; the loop stays in automatic".to_owned(),
-        |test| {
-            format!("{} in manual, with OP moved by {} both ways", duration(4.0 * test.duration_s), number(test.size))
-        },
-    );
+    let (next, cost) = next(d);
     [conclusion(d), format!("Measure next: {next}."), format!("Cost: {cost}.")]
 }
 
+/// What to measure next, and what that costs.
+fn next(d: &GapDocument) -> (String, String) {
+    let nothing = || ("nothing".to_owned(), "none".to_owned());
+    if d.good_enough.is_some() {
+        return nothing();
+    }
+    if let Some(test) = &d.next_test {
+        let [total, size, pv] = [duration(test.total_s), number(test.size), number(test.moves_pv)];
+        return (bump(test), format!("{total} in manual, OP moved by {size} both ways, PV by about {pv}"));
+    }
+    let asked = d.leading().map_or("", |e| e.separated_by.as_str());
+    let asked = if asked.is_empty() { "the valve position beside OP and PV" } else { asked };
+    let is_recorded = d.location.op_to_mv.is_some() || d.valve.as_ref().is_some_and(|valve| valve.position.is_some());
+    let asked = if is_recorded { beside_position(asked) } else { Some(asked.to_owned()) };
+    let told = asked.map(|asked| (asked.replace("; ", ", or "), "a measurement; the loop stays in automatic".to_owned()));
+    told.unwrap_or_else(nothing)
+}
+
+/// What remains of a request where the valve position is in the record.
+fn beside_position(asked: &str) -> Option<String> {
+    let other = |part: &&str| !part.starts_with("the valve position") || part.contains(" OP");
+    let rest = |part: &str| {
+        let moved = part.strip_prefix("the valve position").and_then(|rest| {
+            let rest = rest.strip_prefix(" during ").or_else(|| rest.strip_prefix(" after "));
+            rest.filter(|_| !part.contains("beside"))
+        });
+        moved.map_or_else(|| part.to_owned(), str::to_owned)
+    };
+    let parts: Vec<String> =
+        asked.split(", or ").filter(other).map(rest).filter(|part| !part.starts_with("the valve position")).collect();
+    (!parts.is_empty()).then(|| parts.join(", or "))
+}
+
+/// What the recorded valve position shows, where there is one.
+fn position(d: &GapDocument) -> Option<String> {
+    Some(sentence(&d.valve.as_ref()?.position.as_ref()?.words()))
+}
+
 fn conclusion(d: &GapDocument) -> String {
+    if let Some(enough) = enough(d) {
+        return sentence(&enough);
+    }
     let no_confirmed_lead = d.cause.id != NONE && (!d.cause.confirmed || d.leading().is_none());
+    let of_cause = of_rest(d, of_cause(d));
     match budget::confirmed(d).filter(|_| no_confirmed_lead) {
-        Some(parts) => format!("{} {parts}", of_cause(d)),
-        None => of_cause(d),
+        Some(parts) => format!("{of_cause} {parts}"),
+        None => of_cause,
+    }
+}
+
+/// Beside a valve that sticks, only the rest is unknown.
+fn of_rest(d: &GapDocument, conclusion: String) -> String {
+    let sticks = d.valve.as_ref().is_some_and(ValveNote::does_stick);
+    match (conclusion.strip_prefix("Unknown: "), d.gap.relative.filter(|_| sticks)) {
+        (Some(rest), Some(left)) => {
+            format!("What the model leaves, {} of PV's movement, is not explained: {rest}", percent(100.0 * left))
+        }
+        _ => conclusion,
     }
 }
 
@@ -327,6 +406,9 @@ pub fn answer(d: &GapDocument) -> String {
 
 fn first(d: &GapDocument) -> String {
     let id = &d.cause.id;
+    if d.good_enough.is_some() {
+        return "good enough".to_owned();
+    }
     match d.named().map(|e| Claim::of(d, e)) {
         Some(_) if d.leading().is_none() => format!("{UNKNOWN}; beside it {id}, next to nothing of the gap"),
         Some(Claim::Suspected) => format!("{id}, suspected"),
@@ -355,17 +437,23 @@ pub fn from_sp(f: &FromSp) -> String {
     )
 }
 
-/// The whole report as lines: the paragraph, then the figures.
+/// A diagnosis in a title and three lines, with a fourth where the valve position is recorded.
 #[must_use]
 pub fn report(d: &GapDocument) -> String {
-    let mut head = format!("{}: {} (p {})", d.loop_name, first(d), probability(d.cause.probability));
+    let lines = position(d).into_iter().chain(summary(d)).map(|line| format!("  {line}"));
+    std::iter::once(format!("{}: {}", d.loop_name, title(d))).chain(lines).collect::<Vec<_>>().join("\n")
+}
+
+/// The same with everything behind it: the answer with its probability, the paragraph, then the figures.
+#[must_use]
+pub fn verbose(d: &GapDocument) -> String {
+    let mut answer = format!("{} (p {})", first(d), probability(d.cause.probability));
     if let Some(second) = &d.second_cause {
-        head.push_str(&format!(", with {} (p {})", second.id, probability(second.probability)));
+        answer.push_str(&format!(", with {} (p {})", second.id, probability(second.probability)));
     }
-    let mut lines = vec![head];
-    lines.extend(summary(d).map(|line| format!("  {line}")));
-    lines.push(format!("  In detail: {}", paragraph(d)));
+    let mut lines = vec![report(d), format!("  In detail: {}", paragraph(d))];
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
+    row("answer", answer);
     let floor = d.gap.noise_floor.map_or("unknown".to_owned(), number);
     row(
         "gap",

@@ -428,6 +428,8 @@ pub struct NextTest {
     pub separates: [String; 2],
     /// Probability that the better one is recognised.
     pub p: f64,
+    /// How far PV goes, PV units.
+    pub moves_pv: f64,
 }
 
 /// The free runs, one value per point, PV units; `None` if not simulated.

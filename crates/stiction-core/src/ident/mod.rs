@@ -33,4 +33,5 @@ pub const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
 pub use choice::{DelayChoice, ModelChoice, Options, ValveChoice};
 pub use model::Model;
 pub use no_fit::NoFit;
-pub use quantify::{Estimate, quantify};
+pub use quantify::{Estimate, FitBasis, quantify};
+pub use slip_search::answer::{OrderBy, OrderChoice};

@@ -5,7 +5,7 @@ use super::class::Class;
 use super::no_fit::NoFit;
 use super::normalised::NormalisedRecord;
 use super::sign;
-use super::slip_search::answer::{Answer, improvement, view_of};
+use super::slip_search::answer::{Answer, OrderChoice, improvement, view_of};
 use super::slip_search::candidate::{Candidate, apart};
 use super::slip_search::interval;
 use super::slip_search::problem::Problem;
@@ -16,6 +16,7 @@ use super::width::Spread;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
+use serde::{Deserialize, Serialize};
 
 /// Result of a fit. Bands in OP units, gain in PV units per OP unit (also per second if integrating).
 #[derive(Debug, Clone, PartialEq)]
@@ -59,6 +60,26 @@ pub struct Estimate {
     pub rounds: usize,
     /// Why the search for the answer ended.
     pub ended: Ended,
+    /// The error that was minimised, and how the order was chosen.
+    pub basis: FitBasis,
+}
+
+/// What a fit rests on.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct FitBasis {
+    /// Coefficient rho of the filter `1 - rho q^-1` behind which the free-run error was minimised; 0 where that was left white.
+    pub error_filter: f64,
+    /// How the order of the process was chosen.
+    pub order: OrderChoice,
+}
+
+impl Estimate {
+    /// Share of the error that goes with the friction, of the model that is reported.
+    #[must_use]
+    pub(crate) fn stiction_index(&self) -> f64 {
+        improvement(self.mse, self.mse_without)
+    }
 }
 
 /// Share of PV's variance left unexplained from which the sign that was read is doubted.
@@ -185,5 +206,12 @@ fn report(
         evaluations: 0,
         rounds: found.rounds,
         ended: found.ended,
+        basis: FitBasis {
+            error_filter: answer.rho,
+            order: OrderChoice {
+                held_out_rms: answer.order.held_out_rms.map(|both| both.map(|rms| rms * deviation)),
+                ..answer.order
+            },
+        },
     })
 }

@@ -72,16 +72,17 @@ impl Surface {
     /// # Errors
     /// The record cannot be fitted.
     pub fn new(record: &Record, options: &Options, law: Law, class: Class) -> Result<Self, NoFit> {
-        Self::of_sign(record, options, law, class, None)
+        Self::of_sign(record, options, (law, class), None, 0.0)
     }
 
-    /// The same with the sign of the gain given, or both tried where the record does not tell it.
+    /// The same with the sign of the gain given, or both tried where the record does not tell it, of the error behind
+    /// `1 - rho q^-1`.
     pub(super) fn of_sign(
         record: &Record,
         options: &Options,
-        law: Law,
-        class: Class,
+        (law, class): (Law, Class),
         sign: Option<f64>,
+        rho: f64,
     ) -> Result<Self, NoFit> {
         let normalised = NormalisedRecord::of(record, options)?;
         let sign = sign.or_else(|| sign::of_gain(&normalised.mean, &normalised.pv));
@@ -89,10 +90,10 @@ impl Surface {
         let side = |sign: f64| {
             let problem = Problem::new(&normalised, sign);
             let points = problem.points();
-            let mut view = problem.view(0.0, points);
+            let mut view = problem.view(rho, points);
             let mut evaluator = Evaluator::new(&problem, law, class, points);
             let without = frictionless(&mut evaluator, &mut view, class).filter(|f| f.gain != 0.0);
-            Side { sign, scans: CoarseScan::of(&problem, 0.0, points), view, without }
+            Side { sign, scans: CoarseScan::of(&problem, rho, points), view, without }
         };
         Ok(Self {
             sides: signs.into_iter().map(side).collect(),

@@ -25,6 +25,15 @@ impl Law {
             Self::Tracking => "tracking",
         }
     }
+
+    /// Its name in sentences.
+    #[must_use]
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::He => "He's law",
+            Self::Tracking => "tracking law",
+        }
+    }
 }
 
 /// The first slip of a record, in place of the unknown stem position before it: towards `direction`, as soon as

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::answer::{Scale, Standing};
 use super::bump_test::{self, BumpTest, Refusal};
-use super::{Assessment, SCREENED, Verdict, texts};
+use super::{Assessment, SCREENED, ValvePosition, Verdict, texts};
 
 /// How the band is confirmed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -25,6 +25,9 @@ pub struct Action {
     pub open: bool,
     /// How to confirm it.
     pub confirm: Confirm,
+    /// What the recorded valve position shows, which needs no test.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position: Option<ValvePosition>,
 }
 
 impl Action {
@@ -35,6 +38,7 @@ impl Action {
             deadband: a.verdict == Verdict::Deadband,
             open: a.j_identifiable == Some(false),
             confirm: bump_test::bump_test(a).map_or_else(Confirm::Otherwise, Confirm::Bump),
+            position: a.valve_position,
         })
     }
 
@@ -51,6 +55,13 @@ impl Action {
     /// Beside the test written out.
     #[must_use]
     pub fn words(&self) -> String {
+        if let Some(position) = &self.position {
+            return format!(
+                "The valve position is recorded: {}. Where that agrees with the estimate, {}.",
+                position.words(),
+                self.inspect()
+            );
+        }
         match &self.confirm {
             Confirm::Bump(_) => {
                 format!("Confirm the band by the bump test. If the test confirms it, {}.", self.inspect())
@@ -65,21 +76,21 @@ impl Action {
     #[must_use]
     pub fn alone(&self, op_unit: &str) -> String {
         match &self.confirm {
-            Confirm::Bump(test) => format!(
+            Confirm::Bump(test) if self.position.is_none() => format!(
                 "{} If the test confirms the band, {}. `stictiond analyze --report` writes the test out.",
                 test.brief(op_unit),
                 self.inspect()
             ),
-            Confirm::Otherwise(_) => self.words(),
+            _ => self.words(),
         }
     }
 
-    /// The bump test, a step an item; none where it is confirmed otherwise.
+    /// The bump test, a step an item; none where the band is confirmed otherwise.
     #[must_use]
     pub fn steps(&self, op_unit: &str) -> Vec<String> {
         match &self.confirm {
-            Confirm::Bump(test) => test.steps(op_unit),
-            Confirm::Otherwise(_) => Vec::new(),
+            Confirm::Bump(test) if self.position.is_none() => test.steps(op_unit),
+            _ => Vec::new(),
         }
     }
 }
@@ -160,9 +171,12 @@ mod tests {
         }
         let refused = Confirm::Otherwise(Refusal::Integrating);
         for open in [false, true] {
-            let text = Action { deadband: true, open, confirm: refused }.alone("%");
+            let text = Action { deadband: true, open, confirm: refused, position: None }.alone("%");
             assert!(text.contains("No bump test is proposed") && !text.contains("by the bump test"), "{text}");
             assert!(text.contains("linkage") && text.contains("packing") == open, "{text}");
+            let position = Some(ValvePosition { hysteresis: 1.25, halves: None });
+            let text = Action { deadband: true, open, confirm: refused, position }.alone("%");
+            assert!(text.contains("hysteresis 1.25 OP units") && !text.contains("trend the position"), "{text}");
         }
     }
 }

@@ -9,6 +9,7 @@ use super::judgement::{Judgement, grade};
 use super::params::AssessParams;
 use super::rule::Rule;
 use super::screen;
+use super::valve_position::ValvePosition;
 use crate::ident::Estimate;
 use crate::ident::controller::Reading;
 use crate::ident::region::{region, severity_by_range, strength_by_span};
@@ -56,6 +57,7 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
         interval_level: Some(INTERVAL_LEVEL),
         op_range: params.op_range,
         op_unit: params.op_unit.clone(),
+        valve_position: ValvePosition::of(record),
         ..Assessment::empty(window, describe(first.oscillation().as_ref(), record))
     };
     if let Some(gate) = first.blocking() {
@@ -101,7 +103,7 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
         reason: judgement.reason,
         p_stiction: Some(p),
         confidence,
-        stiction_index: fit.map(|e| e.index),
+        stiction_index: fit.map(Estimate::stiction_index),
         controller: answer.controller.as_ref().map(as_document),
         indicators: Rule::shipped().indicators(&answer.features),
         explanation: Some(answer.opinion),
@@ -137,6 +139,7 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
         severity_by_range: params.op_range.and_then(|range| severity_by_range(e.s, range)),
         valve_model: Some(e.law),
         process: answer.sized.process(),
+        fitted_by: Some(e.basis),
         ..found
     }
 }

@@ -19,11 +19,8 @@ const HOLD: f64 = 1.5;
 const SETTLE: f64 = 4.0;
 /// Samples that a hold has at least behind the dead time.
 const SAMPLES: f64 = 6.0;
-/// PV has moved when its mean has changed by this share of what one step gives, or by so many standard errors of noise.
+/// PV has moved when its mean has changed by this share of what one step gives, or by what noise does not hide.
 const MOVED: f64 = 0.3;
-const ERRORS: f64 = 4.0;
-/// Samples of a mean that count as independent at most: what a model leaves of PV is not white.
-const INDEPENDENT: f64 = 9.0;
 /// Bands that OP goes one way at most before the test ends without an answer.
 const MOST_BANDS: f64 = 2.5;
 
@@ -82,8 +79,7 @@ pub fn bump_test(a: &Assessment) -> Result<BumpTest, Refusal> {
     // What a move of the stem gives by the middle of the last third.
     let gain = process.gain.abs();
     let visible = gain * settled(&process.time_constants_s, 5.0 / 6.0 * hold_s - process.dead_time_s);
-    let mean_of = (hold_s / (3.0 * ts_s)).clamp(1.0, INDEPENDENT);
-    let hidden = ERRORS * (2.0 * process.mse / mean_of).sqrt();
+    let hidden = guard::hidden_below(process.mse, hold_s / (3.0 * ts_s));
     let j = a.j.unwrap_or(0.0);
     let share = SHARES.into_iter().find(|share| hidden <= visible * (0.5 * share * s).max(j));
     let Some(share) = share else { return Err(Refusal::Noise(process.mse.sqrt(), visible * 0.5 * s)) };

@@ -7,9 +7,10 @@ use crate::sim::slips::Law;
 use serde::{Deserialize, Serialize};
 
 use super::rule::Opinion;
+use super::valve_position::ValvePosition;
 use crate::detect::Indicator;
 pub use crate::ident::ESTIMATE_SCHEMA;
-use crate::ident::Model;
+use crate::ident::{FitBasis, Model};
 use crate::record::Record;
 use crate::units::Moment;
 
@@ -393,6 +394,9 @@ pub struct Assessment {
     pub valve_model: Option<Law>,
     /// The fitted process.
     pub process: Option<Process>,
+    /// The error that was minimised, and how the order was chosen.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fitted_by: Option<FitBasis>,
     /// Span of PV in the window (0.5 to 99.5 percentile), PV units.
     pub pv_span: Option<f64>,
     /// The controller, where the record identifies one.
@@ -401,6 +405,9 @@ pub struct Assessment {
     pub indicators: Vec<Indicator>,
     /// Sum of the indicators' contributions, logits.
     pub explanation: Option<Opinion>,
+    /// What the recorded valve position shows, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub valve_position: Option<ValvePosition>,
     /// Search statistics: evaluations, and why the search stopped.
     pub search: Option<Search>,
     /// Run time, ms; set by the caller.
@@ -458,10 +465,12 @@ impl Assessment {
             op_unit: None,
             valve_model: None,
             process: None,
+            fitted_by: None,
             pv_span: None,
             controller: None,
             indicators: Vec::new(),
             explanation: None,
+            valve_position: None,
             search: None,
             elapsed_ms: None,
         }

@@ -20,6 +20,7 @@ mod screen;
 pub mod swapped;
 pub mod tally;
 pub mod texts;
+mod valve_position;
 pub mod words;
 
 pub use crate::detect::Indicator;
@@ -31,3 +32,4 @@ pub use document::{
 };
 pub use params::AssessParams;
 pub use screen::{P_CALM, SCREENED};
+pub use valve_position::ValvePosition;

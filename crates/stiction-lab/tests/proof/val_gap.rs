@@ -25,11 +25,12 @@ fn faults(d: &GapDocument) -> Vec<String> {
     let [conclusion, next, cost] = summary(d);
     let mut out = Vec::new();
     let headline = answer(d);
-    let leads = !headline.starts_with("unknown") && !headline.starts_with("none");
+    let leads = !["unknown", "none", "good enough"].iter().any(|word| headline.starts_with(word));
     if leads && d.named().is_some_and(|e| e.closed_pct.is_some_and(|c| c < LEAST_CLOSED)) {
         out.push(format!("a headline that closes next to nothing: {headline}"));
     }
-    let claims = !conclusion.starts_with("Unknown") && !conclusion.starts_with("No further effect");
+    let no_claim = ["Unknown", "No further effect", "The model is good enough"];
+    let claims = !no_claim.iter().any(|word| conclusion.starts_with(word));
     if claims && closed_of(&conclusion).is_some_and(|c| c < LEAST_CLOSED) {
         out.push(format!("a conclusion that closes next to nothing: {conclusion}"));
     }
@@ -58,7 +59,7 @@ fn no_headline_on_any_recording_closes_less_than_a_tenth_of_the_gap() {
         // A record without a base is refused with its reason.
         let Ok(diagnosis) = diagnose(&item.record, &options, &Serial) else { continue };
         diagnosed += 1;
-        let document = GapDocument::new(&item.file, &item.record, &options, &diagnosis);
+        let document = GapDocument::new(&item.file, &item.record, &options, &diagnosis, None);
         wrong.extend(faults(&document).into_iter().map(|what| format!("{}: {what}", item.file)));
     }
     assert!(diagnosed >= 50, "{diagnosed} of {} recordings were diagnosed", all.len());

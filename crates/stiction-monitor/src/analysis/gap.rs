@@ -1,12 +1,13 @@
 //! The gap of one section, as `gap` measures and writes it.
 
-use super::{AnalysisError, Cut, Points, Section};
+use super::{AnalysisError, Cut, FitOverrides, Points, Section, estimate};
 use stiction_core::detect::oscillation;
 use stiction_core::gap::document::GapDocument;
 use stiction_core::gap::model_file::ModelFile;
 use stiction_core::gap::pool::{self, PoolError};
 use stiction_core::gap::{self, Base, Diagnosis, Executor, GapError, GapOptions, Neighbour};
 use stiction_core::record::Record;
+use stiction_core::verdict::Assessment;
 
 /// Most points of a simulation; sections with more samples are averaged in bins.
 pub const MAX_POINTS: usize = 8_192;
@@ -78,6 +79,8 @@ pub struct Diagnosed {
     pub record: Record,
     /// The fits behind it.
     pub diagnosis: Diagnosis,
+    /// What `analyze` makes of the record.
+    pub assessment: Option<Assessment>,
 }
 
 /// The record of a section for a diagnosis, and notes for the user.
@@ -101,7 +104,14 @@ pub fn neighbour(points: &Points, record: &Record) -> Result<Neighbour, String> 
     Neighbour::of(name, &other, record).map_err(|e| e.to_string())
 }
 
-/// Diagnoses a record of a loop.
+/// What `analyze` makes of a section; `None` where it has no estimate.
+#[must_use]
+pub fn assessment(points: &Points, section: Section, cut: &Cut) -> Option<Assessment> {
+    let params = FitOverrides::default().over(&points.settings.assess);
+    estimate(points, section, cut, params).ok().map(|found| found.assessment)
+}
+
+/// Diagnoses a record of a loop, beside what `analyze` makes of it.
 ///
 /// # Errors
 /// An unknown effect, or a record that cannot be diagnosed.
@@ -110,10 +120,11 @@ pub fn diagnose(
     record: Record,
     options: &GapOptions,
     executor: &dyn Executor,
+    assessment: Option<Assessment>,
 ) -> Result<Diagnosed, GapError> {
     let diagnosis = gap::diagnose(&record, options, executor)?;
-    let document = GapDocument::new(name, &record, options, &diagnosis);
-    Ok(Diagnosed { document, record, diagnosis })
+    let document = GapDocument::beside(name, &record, options, &diagnosis, assessment.as_ref());
+    Ok(Diagnosed { document, record, diagnosis, assessment })
 }
 
 /// Windows of one valve, with what each alone came to.
@@ -141,9 +152,10 @@ pub fn decide_together(windows: &[DiagnosedWindow], settings: &GapSettings) -> R
     let (record, diagnosis) = (alone.record.clone(), alone.diagnosis.with_answer_of(&together));
     let options = settings.options(&record);
     let name = &alone.document.loop_name;
-    let mut document = GapDocument::new(name, &record, &options, &diagnosis);
+    let assessment = alone.assessment.clone();
+    let mut document = GapDocument::beside(name, &record, &options, &diagnosis, assessment.as_ref());
     document.pooled = pool::notes(&each, together.clearest);
-    Ok((together.clearest, Diagnosed { document, record, diagnosis }))
+    Ok((together.clearest, Diagnosed { document, record, diagnosis, assessment }))
 }
 
 /// The same samples under two names would count twice.

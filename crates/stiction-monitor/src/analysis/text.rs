@@ -73,6 +73,9 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
     if a.stiction != Some(false) && a.s.is_some() {
         bands(a, rows);
     }
+    if let Some(position) = &a.valve_position {
+        rows.add("MV", position.words());
+    }
     if let Some(index) = a.stiction_index {
         rows.add("index", number(Some(index)));
     }
@@ -96,7 +99,8 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
 fn bands(a: &Assessment, rows: &mut Rows) {
     let scale = Scale::of(a);
     let number = |band: Option<f64>| number(band.map(|band| scale.value(band)));
-    rows.add("bands", format!("fs {}  fd {}  ({})", number(a.fs), number(a.fd), scale.unit()));
+    let law = a.valve_model.map_or_else(String::new, |law| format!(", {}", law.words()));
+    rows.add("bands", format!("fs {}  fd {}  ({}{law})", number(a.fs), number(a.fd), scale.unit()));
     let reached = if words::at_bound(a) { " (bound reached: at least the lower end of its interval)" } else { "" };
     let share = a.s_over_span.map_or_else(|| "-".to_owned(), units::number);
     rows.add("", format!("s {}  j {}  s/span {share}{reached}", number(a.s), number(a.j)));

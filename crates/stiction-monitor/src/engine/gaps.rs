@@ -27,7 +27,7 @@ use stiction_core::record::Record;
 use stiction_core::signal::stats;
 use stiction_core::sim::slips::Law;
 use stiction_core::units::format_rfc3339;
-use stiction_core::verdict::Assessment;
+use stiction_core::verdict::{AssessParams, Assessment, assess};
 
 /// Points of fit below the loop's median from which a window departs.
 pub const FIT_DROP_PCT: f64 = 15.0;
@@ -253,6 +253,8 @@ pub struct GapRequest {
     pub by: Option<String>,
     /// What it is made from.
     pub record: Arc<Record>,
+    /// How the loop's valve is judged.
+    pub assess: AssessParams,
     /// The loop's accepted model, if it has one.
     pub model: Option<Model>,
     /// Other loops on the record's grid, each a possible load.
@@ -290,7 +292,9 @@ impl GapRequest {
         let is_pooled = own.is_some() && windows.len() > 1;
         let together = is_pooled.then(|| pool::decide_together(&windows)).transpose()?;
         let diagnosis = together.map_or_else(|| alone.clone(), |together| alone.with_answer_of(&together));
-        let mut document = GapDocument::new(&self.loop_name, &self.record, &options, &diagnosis);
+        let assessment = assess(&self.record, &self.assess);
+        let mut document =
+            GapDocument::beside(&self.loop_name, &self.record, &options, &diagnosis, Some(&assessment));
         if is_pooled {
             document.pooled = pool::notes(&windows, self.earlier.len());
         }

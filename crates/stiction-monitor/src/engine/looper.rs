@@ -15,7 +15,7 @@ use stiction_core::record::{Record, Sample};
 use stiction_core::signal::align::{Aligned, Aligner};
 use stiction_core::signal::history::History;
 use stiction_core::units::ns_from_s;
-use stiction_core::verdict::{Assessment, EstimateDocument, MemberJudgement};
+use stiction_core::verdict::{AssessParams, Assessment, EstimateDocument, MemberJudgement};
 
 /// A diagnosis on its way; the answer once it came is none where it was given up.
 #[derive(Debug)]
@@ -275,6 +275,7 @@ impl Loop {
             reason,
             by,
             record,
+            assess: AssessParams { always_fit: true, ..self.settings.assess.clone() },
             model,
             neighbours: Vec::new(),
             earlier,

@@ -142,7 +142,8 @@ async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<D
     let gap = live.last_document(&name, Kind::Gap);
     let mut words = newest.estimate.as_deref().map(|e| words_of(&e.assessment)).unwrap_or_default();
     if let Some(read) = gap.as_ref().and_then(|g| serde_json::from_value::<GapDocument>(g.clone()).ok()) {
-        words.gap = Some(text::paragraph(&read));
+        // Of the valve the page says what its windows say together.
+        words.gap = Some(text::of_gap(&read));
         (words.windows, words.other_loops) = (text::windows(&read), text::other_loops(&read));
         words.budget = text::budget(&read);
         words.tellable = text::tellable(&read);

@@ -14,7 +14,8 @@ const SWITCHES = new Set(["straight", "upper", "of_stem"]);
 
 const item = (term, value) => h("div", null, h("dt", null, term), h("dd", null, value));
 
-function causeWords({ cause }) {
+function causeWords({ cause, good_enough: enough }) {
+  if (enough) return `the model is good enough: it leaves ${format.number(enough.left_pct)} % of PV’s movement, below ${enough.is_noise ? "the noise" : `${format.number(enough.limit_pct)} %`}`;
   if (cause.id === "none") return `no effect needed (p ${format.probability(cause.probability)})`;
   if (cause.id === "unknown" && cause.why === "cannot_be_told") return "this record cannot tell it";
   if (cause.id === "unknown") return `no effect of the catalogue explains it (p ${format.probability(cause.probability)})`;
@@ -23,17 +24,17 @@ function causeWords({ cause }) {
 
 function test(next) {
   if (!next) return null;
-  return item("Next test", `move ${next.signal.toUpperCase()} by ${format.number(next.size)} for ${format.duration(next.duration_s)}, distinguishes ${[next.separates].flat().map(plain).join(" from ")} (p ${format.probability(next.p)})`);
+  return item("Next test", `move ${next.signal.toUpperCase()} by ${format.number(next.size)} for ${format.duration(next.duration_s)}, distinguishes ${[next.separates].flat().map(plain).join(" from ")} (p ${format.probability(next.p)})${next.total_s ? `; costs ${format.duration(next.total_s)} in manual, PV moves by about ${format.number(next.moves_pv)}` : ""}`);
 }
 
-function effects(list, pv) {
+function effects(list, pv, asks) {
   const shown = list.slice(0, MOST_EFFECTS);
   if (!shown.length) return null;
   const size = (e) => Object.entries(e.parameters).filter(([name]) => !SWITCHES.has(name)).map(([name, p]) => `${plain(name)} ${format.number(p.value)}${p.unit === "1" ? "" : ` ${p.unit}`}`).join(", ").replace(/.$/, "$&; ");
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Effects tried" }, h("table", { class: "table" },
     h("caption", { class: "soft" }, `The likeliest ${shown.length} of ${format.count(list.length, "effect")}; share of the gap that each closes on held-out data.`),
     h("thead", null, h("tr", null, h("th", { scope: "col" }, "effect"), h("th", { scope: "col" }, "acts"), h("th", { scope: "col", class: "number" }, "closes, %"), h("th", { scope: "col", class: "number" }, `gap left, ${pv}`))),
-    h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, plain(e.id), h("small", { class: "soft asks" }, size(e), e.separated_by ? `distinguished by ${e.separated_by}` : "")), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), figureCell(format.parts(e.closed_pct, e.closed_interval)), h("td", { class: "number" }, format.number(e.gap_after)))))));
+    h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, e.own_cycle ? "the valve’s own cycle" : plain(e.id), h("small", { class: "soft asks" }, size(e), asks && e.separated_by ? `distinguished by ${e.separated_by}` : "")), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), figureCell(format.parts(e.closed_pct, e.closed_interval)), h("td", { class: "number" }, format.number(e.gap_after)))))));
 }
 
 /** What PV is made of, and what limits that table. */
@@ -62,7 +63,7 @@ function report(gap, words, row) {
       words.other_loops ? item("Other loops", words.other_loops) : null,
       test(gap.next_test),
       item("Section", `${format.recent(format.millis(gap.window.start))} to ${format.recent(format.millis(gap.window.end))}, base: ${gap.base.source === "linear" ? "a valve without friction" : "a sticking valve and a first-order process"}`)),
-    effects(gap.effects ?? [], pv),
+    effects(gap.effects ?? [], pv, !gap.good_enough),
     madeOf(words, pv),
   ];
 }

@@ -184,7 +184,7 @@ class Phase {
     root.append(h("h3", null, "Phase plot of the live window"));
     this.plot = phase(root, { label: "Phase plot, PV over OP", xLabel: `OP${row?.op_unit ? `, ${row.op_unit}` : ""}`, yLabel: `PV${row?.pv_unit ? `, ${row.pv_unit}` : ""}` });
     root.append(h("div", { class: "row" }, h("label", { for: "lag" }, "Shift PV back by "), this.slider, this.out), this.fittedLabel,
-      h("p", { class: "soft small" }, "With PV shifted back by the loop’s dead time and lag, a sticking valve gives a parallelogram with vertical or horizontal sides; a valve without stiction gives a line or an ellipse."));
+      h("p", { class: "soft small" }, "The process lag opens this plot whether or not the valve sticks. With PV shifted back, OP of a sticking valve gives a parallelogram where the lag is short against the period; over the fitted valve position only the lag is left."));
   }
 
   take(window) {

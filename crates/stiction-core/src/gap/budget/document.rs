@@ -10,10 +10,10 @@ use super::cycle::Cycle;
 use super::parts::Part;
 use super::series::Series;
 use crate::gap::effects;
+use crate::gap::set_point;
 use crate::gap::sizes::Quantity;
 use crate::gap::types::{Signature, Slip};
 use crate::record::Record;
-use crate::signal::stats;
 
 /// What valve and process make of OP.
 pub const VALVE_AND_PROCESS: &str = "valve_and_process";
@@ -252,9 +252,7 @@ impl TellableNote {
     pub fn of(record: &Record, budget: &Budget, slips: &[Slip], explained: Option<f64>) -> Self {
         let (gain, periods) = (budget.model.gain_by_op, budget.series.n() as f64 / budget.series.period);
         let [hardly, mostly] = TOLD;
-        let sp = record.sp.as_deref().unwrap_or_default();
-        let least = 1e-6 * stats::std_dev(&record.pv);
-        let sp_moves = sp.windows(2).filter(|w| (w[1] - w[0]).abs() > least).count();
+        let sp_moves = set_point::moves(record).len();
         // Nats grow with the record's length.
         let times = (gain < mostly && gain > 0.0).then(|| mostly / gain).filter(|t| *t <= MOST_LONGER);
         let wanted = gain < mostly;

@@ -5,6 +5,7 @@ use super::scan::Scan;
 use super::series::{Run, Series};
 use super::shapes::{APART, Shape};
 use crate::gap::effects;
+use crate::gap::set_point::explains;
 use crate::gap::structure::BASE;
 use crate::signal::stats;
 use crate::sim::noise::{Noise, stream_of};
@@ -262,6 +263,9 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
         )?;
         let cost = shape.cost(n, scan.tried(&shape, frequencies.len()));
         let gain = fit.log_likelihood() - so_far.fit.log_likelihood() - cost;
+        if follows_set_point(series, &shape, fit.beta.last().copied().unwrap_or(0.0)) {
+            return None;
+        }
         Some(Tried { shape, gain, columns, fit })
     };
     let all = shapes.into_iter().filter(|s| so_far.has_room_for(s) && !there(s)).filter_map(try_one);
@@ -276,6 +280,15 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
         best = beside.into_iter().filter_map(try_one).chain([best]).max_by(|x, y| x.gain.total_cmp(&y.gain))?;
     }
     Some(best)
+}
+
+/// Whether a load begins or ends while PV answers a move of the set point that may be what is seen; `size` as fitted.
+fn follows_set_point(series: &Series, shape: &Shape, size: f64) -> bool {
+    let answers = |at: usize| at != usize::MAX && explains(&series.sp_moves, (at as f64, size), series.answer);
+    match shape {
+        Shape::Ramp(from) => answers(*from),
+        shape => shape.edges().is_some_and(|edges| edges.into_iter().any(answers)),
+    }
 }
 
 /// Whether a shape is one that is there already.

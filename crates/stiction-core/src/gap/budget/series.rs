@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::Known;
 use crate::gap::neighbour::Load;
 use crate::gap::problem::period_of;
+use crate::gap::set_point::{self, Move};
 use crate::gap::types::Fit;
 use crate::record::Record;
 use crate::signal::{detrend, stats};
@@ -18,6 +19,8 @@ pub(crate) const MOST: usize = 900;
 pub(crate) const FEWEST: usize = 100;
 /// Fewest points in a period.
 const IN_PERIOD: f64 = 8.0;
+/// Periods in which PV answers the set point where no model says it.
+const ANSWER: f64 = 0.125;
 /// Periods that a record has at least, as the bins of the process' answer take them.
 const PERIODS: f64 = 5.0;
 
@@ -44,6 +47,10 @@ pub struct Series {
     pub point_s: f64,
     /// Signals of other loops that may act on PV.
     pub loads: Vec<Arc<Load>>,
+    /// Moves of the set point, points and standard deviations of PV.
+    pub sp_moves: Vec<Move>,
+    /// Points in which PV answers one.
+    pub answer: f64,
 }
 
 /// A model's free run over a series.
@@ -110,6 +117,15 @@ impl Series {
             from,
             point_s: record.point_s() * box_points as f64,
             loads: Vec::new(),
+            sp_moves: set_point::moves(record)
+                .into_iter()
+                .filter(|m| m.at >= from)
+                .map(|m| Move { at: (m.at - from) / box_points, size: m.size / of_pv[1] })
+                .collect(),
+            answer: known.models.first().map_or(period * ANSWER / box_points as f64, |fit| {
+                let point_s = record.point_s() * box_points as f64;
+                set_point::answer_points(fit.dead_time_s, &fit.time_constants_s, point_s)
+            }),
         };
         Some(series.with_loads(known.loads))
     }

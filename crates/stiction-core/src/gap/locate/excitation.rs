@@ -2,6 +2,7 @@
 
 use super::Excitation;
 use super::held::Held;
+use crate::gap::set_point;
 use crate::record::Record;
 use crate::signal::stats;
 
@@ -9,8 +10,6 @@ use crate::signal::stats;
 const SAME: f64 = 0.2;
 /// Most positions that are told apart.
 const MOST: usize = 1000;
-/// A set point moves where it changes by more than this share of PV's spread.
-const SETPOINT_SHARE: f64 = 0.01;
 
 /// Positions of the model's stem, its moves a half cycle, and the set point's moves.
 pub(super) fn excitation(held: &Held<'_>, record: &Record) -> Excitation {
@@ -29,7 +28,7 @@ pub(super) fn excitation(held: &Held<'_>, record: &Record) -> Excitation {
     Excitation {
         levels: levels as u64,
         jumps_per_half_cycle: (turns > 0).then(|| slips.len() as f64 / (turns + 1) as f64),
-        setpoint_moves: record.sp.as_deref().map(|sp| setpoint_moves(sp, stats::std_dev(&record.pv))),
+        setpoint_moves: record.sp.as_ref().map(|_| set_point::moves(record).len() as u64),
         two_level: levels == 2,
     }
 }
@@ -49,33 +48,9 @@ fn groups(sorted: &[f64], apart: f64) -> usize {
     count
 }
 
-/// Moves of the set point; a ramp counts once.
-fn setpoint_moves(sp: &[f64], deviation: f64) -> u64 {
-    let least = SETPOINT_SHARE * deviation;
-    let moves = |w: &[f64]| (w[1] - w[0]).abs() > least;
-    let mut count = 0;
-    let mut before = false;
-    for w in sp.windows(2) {
-        let now = moves(w);
-        count += u64::from(now && !before);
-        before = now;
-    }
-    count
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn steps_and_ramps_of_the_set_point_count_once_each() {
-        let mut sp = vec![50.0; 20];
-        sp.extend([52.0; 20]);
-        sp.extend((0..10).map(|k| 52.0 - 0.3 * f64::from(k)));
-        sp.extend([49.3; 10]);
-        assert_eq!(setpoint_moves(&sp, 1.0), 2);
-        assert_eq!(setpoint_moves(&[f64::NAN; 9], 1.0), 0);
-    }
 
     #[test]
     fn near_places_are_one() {

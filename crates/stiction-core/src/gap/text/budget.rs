@@ -1,10 +1,11 @@
 //! The budget as a table, and what the record can tell, in words.
 
 use super::super::budget::document::{
-    BudgetNote, CANNOT_BE_TOLD, DISTURBANCE, EventNote, NOISE, NOT_SPLIT, PartNote, TOLD, TellableNote, UNEXPLAINED,
-    UPSETS, VALVE_AND_PROCESS, WANDERING_CYCLE,
+    BudgetNote, CANNOT_BE_TOLD, DISTURBANCE, EventNote, NOISE, NOT_SPLIT, PartNote, TellableNote, UNEXPLAINED, UPSETS,
+    VALVE_AND_PROCESS, WANDERING_CYCLE,
 };
 use super::super::document::GapDocument;
+use super::super::effects;
 use super::super::sizes::percent;
 use super::effect;
 use crate::units::{duration, number};
@@ -28,13 +29,8 @@ pub(super) fn why_unsure(d: &GapDocument) -> Option<String> {
 
 /// The conclusion where the record cannot tell the cause.
 pub(super) fn cannot_be_told(d: &GapDocument) -> Option<String> {
-    let told = too_little(d)?;
-    Some(format!(
-        "Unknown: this record cannot tell. Beyond PV's own past, OP predicts only {} nats of PV; below {} the structure of \
-         valve and process hardly shows.",
-        number(told.gain_nats),
-        number(TOLD[0])
-    ))
+    too_little(d)?;
+    Some("Unknown: this record cannot tell, because OP predicts too little of PV beyond PV's own past.".to_owned())
 }
 
 /// Effects below this share of PV's variance, %, are left out of the conclusion.
@@ -96,7 +92,9 @@ pub fn budget(d: &GapDocument) -> Option<BudgetText> {
 /// What the record can tell, and what would tell more.
 #[must_use]
 pub fn tellable(d: &GapDocument) -> Vec<String> {
-    d.tellable.iter().flat_map(|told| iter::once(predicted(told)).chain(helps(told))).collect()
+    let is_open = d.good_enough.is_none();
+    let said = |told: &TellableNote| iter::once(predicted(told)).chain(helps(told).filter(|_| is_open)).collect::<Vec<_>>();
+    d.tellable.iter().flat_map(said).collect()
 }
 
 /// The rows of the table and the sentences on what can be told.
@@ -124,6 +122,7 @@ fn head(budget: &BudgetNote) -> String {
 }
 
 fn words(part: &PartNote) -> String {
+    const STICTION: &str = effects::stiction::EFFECT.id;
     let seconds = |name: &str| part.parameters.get(name).map(|q| duration(q.value));
     let course = || match seconds("period") {
         Some(period) => format!("with a period around {period}"),
@@ -131,6 +130,7 @@ fn words(part: &PartNote) -> String {
     };
     match part.id.as_str() {
         VALVE_AND_PROCESS => "valve and process, driven by OP".to_owned(),
+        STICTION => "stiction of the valve: the cycle that would end without it".to_owned(),
         DISTURBANCE => format!("a disturbance that wanders {}", course()),
         NOT_SPLIT => "valve, process and a disturbance, not told apart".to_owned(),
         NOISE => "measurement noise".to_owned(),
@@ -232,7 +232,7 @@ fn helps(told: &TellableNote) -> Option<String> {
 mod tests {
     use super::super::super::budget::document::NOT_IN_CATALOGUE;
     use super::super::super::document::CauseNote;
-    use super::super::{report, summary};
+    use super::super::{summary, verbose};
     use super::*;
 
     fn document() -> GapDocument {
@@ -243,12 +243,12 @@ mod tests {
     fn the_table_has_a_line_for_every_part_and_says_what_is_suspected() {
         let mut d = document();
         let parts = d.budget.as_ref().unwrap().parts.len();
-        let text = report(&d);
+        let text = verbose(&d);
         let shares = text.lines().filter(|l| l.contains(" %  ")).count();
         assert!(shares >= parts && text.contains("measurement noise"), "{text}");
         let part = &mut d.budget.as_mut().unwrap().parts[0];
         (part.id, part.confirmed, part.share_pct) = ("gain_drift".to_owned(), Some(false), -0.01);
-        let text = report(&d);
+        let text = verbose(&d);
         assert!(text.contains(" 0.0 % ") && !text.contains("-0.0 %"), "{text}");
         assert!(text.contains("a drifting gain, suspected, not confirmed"));
     }
@@ -285,10 +285,7 @@ mod tests {
         d.cause.id = "unknown".to_owned();
         d.cause.why = Some(CANNOT_BE_TOLD.to_owned());
         d.tellable.as_mut().unwrap().gain_nats = 12.3;
-        assert!(
-            summary(&d)[0]
-                .starts_with("Unknown: this record cannot tell. Beyond PV's own past, OP predicts only 12.3 nats")
-        );
+        assert!(summary(&d)[0].starts_with("Unknown: this record cannot tell, because OP predicts too little"));
         d.cause.why = Some("not_in_catalogue".to_owned());
         assert!(summary(&d)[0].starts_with("Unknown: no effect of the catalogue"));
         let mut part = d.budget.as_ref().unwrap().parts[0].clone();

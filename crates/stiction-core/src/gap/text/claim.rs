@@ -3,6 +3,7 @@
 use super::super::decide::LITTLE;
 use super::super::document::{EffectNote, GapDocument};
 use super::super::effects;
+use super::super::enough::STATED;
 use super::super::sizes::percent;
 use crate::units::probability;
 
@@ -12,8 +13,7 @@ const EXPLAINS: f64 = 50.0;
 const NOTHING: f64 = 0.5;
 /// Error over the floor up to which nothing is left.
 const NOTHING_LEFT: f64 = 1.05;
-/// Gap over PV's deviation up to which the base explains a record, and up to which it explains most of it.
-const ALL: f64 = 0.1;
+/// Gap over PV's deviation up to which the base explains most of a record.
 const MOST: f64 = 0.45;
 
 /// What may be said of an effect that is named.
@@ -89,7 +89,7 @@ pub(super) fn nothing_left(d: &GapDocument) -> bool {
 pub(super) fn of_base(d: &GapDocument) -> &'static str {
     match d.gap.relative {
         _ if nothing_left(d) => "explains this record",
-        Some(left) if left <= ALL => "explains this record",
+        Some(left) if left <= STATED => "explains this record",
         Some(left) if left <= MOST => "explains most of this record",
         _ => "is as much as can be said of this record",
     }

@@ -37,6 +37,10 @@ pub(super) fn twins(d: &GapDocument, e: &EffectNote) -> Vec<String> {
 
 /// An effect with its fitted sizes.
 pub(super) fn phrase(e: &EffectNote) -> String {
+    let sizes = Sizes(&e.parameters);
+    if let Some(period) = sizes.said("period").filter(|_| e.own_cycle) {
+        return format!("a part of the valve's own cycle, period {period} s");
+    }
     phrase_of(&e.id, &e.parameters)
 }
 

@@ -3,6 +3,7 @@
 use super::super::slip_search::interval::centred;
 use super::super::surface::Surface;
 use super::{FitPlots, class_of};
+use crate::sim::slips::Law;
 
 /// One cell of an [`ErrorMap`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,6 +20,8 @@ pub struct Cell {
 /// Error over the feasible part of the plane, 0 <= fd <= fs, fs + fd <= S0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ErrorMap {
+    /// Law of the valve.
+    pub law: Law,
     /// Order of the process, 1 or 2.
     pub order: u8,
     /// Side of a cell, OP units.
@@ -28,7 +31,7 @@ pub struct ErrorMap {
     /// The cell of least error.
     pub best: Cell,
     /// Least and largest fs, then fd, of the cells whose squared error lies within a tenth of the way from the least to
-    /// that without friction.
+    /// that without friction, and of the answer's own.
     pub region: [[f64; 2]; 2],
 }
 
@@ -49,15 +52,22 @@ impl FitPlots<'_> {
     pub fn error_map(&self, order: u8, step: f64) -> Option<ErrorMap> {
         let law = self.candidate.law;
         let class = class_of(order, self.candidate.class.integrates());
-        let mut surface = Surface::of_sign(self.record, &self.options, law, class, Some(self.sign)).ok()?;
+        let mut surface = Surface::of_sign(self.record, &self.options, (law, class), Some(self.sign), self.rho).ok()?;
         let own = self.evaluate(|evaluator, view| {
             let own = self.in_order(order, evaluator, view)?;
-            Some((centred(&own), self.rms(evaluator.polish(view, &own)?.sse)))
+            if self.rho == 0.0 {
+                return Some((centred(&own), self.rms(evaluator.polish(view, &own)?.sse)));
+            }
+            let mut behind = evaluator.problem.view(self.rho, evaluator.points);
+            let own = evaluator.in_class(&mut behind, &own, class)?;
+            Some((centred(&own), self.rms(own.sse())))
         });
         let mut rms = |[s, j]: [f64; 2]| surface.mse(0.5 * (s + j) * self.span(), 0.5 * (s - j) * self.span()).sqrt();
         // Where no process follows OP as it is, there is none.
         let without = Some(rms([0.0; 2])).filter(|rms| rms.is_finite());
-        let without = without.unwrap_or_else(|| self.evaluate(|_, view| self.rms(view.nothing())));
+        let without = without.unwrap_or_else(|| {
+            self.evaluate(|evaluator, _| self.rms(evaluator.problem.view(self.rho, evaluator.points).nothing()))
+        });
         let mut cells = vec![Cell { fs: 0.0, fd: 0.0, rms: Some(without) }];
         let count = (1.0 / step.max(1e-3) + 1e-9).floor() as u32;
         for a in 1..=count {
@@ -80,12 +90,15 @@ impl FitPlots<'_> {
         let (best, least) = known().min_by(|a, b| a.1.total_cmp(&b.1))?;
         let most = known().find(|(c, _)| c.fs == 0.0).map_or(least, |(_, rms)| rms);
         let limit = least * least + SUGGESTED * (most * most - least * least).max(0.0);
+        // What was chosen is suggested, however narrow its valley is.
+        let chosen = own.filter(|_| order == self.candidate.class.order()).map_or(0.0, |(_, rms)| rms * rms);
+        let limit = limit.max(chosen);
         let mut region = [[best.fs; 2], [best.fd; 2]];
         for (cell, _) in known().filter(|(_, rms)| rms * rms <= limit) {
             for (side, value) in region.iter_mut().zip([cell.fs, cell.fd]) {
                 *side = [side[0].min(value), side[1].max(value)];
             }
         }
-        Some(ErrorMap { order, step: step * self.span(), cells, best, region })
+        Some(ErrorMap { law, order, step: step * self.span(), cells, best, region })
     }
 }

@@ -50,6 +50,8 @@ pub struct FitPlots<'a> {
     /// The process, its time constants off the lattice.
     process: Polished,
     sign: f64,
+    /// Filter of the error that the estimate minimised.
+    rho: f64,
 }
 
 /// The free run of a model: its response to OP without feedback from PV.
@@ -105,7 +107,13 @@ impl<'a> FitPlots<'a> {
                 let candidate = refit(evaluator, view, bands, &told)?;
                 Some((candidate, evaluator.polish(view, &candidate)?))
             })?;
-        Some(Self { record, options: *options, normalised, candidate, process, sign })
+        Some(Self { record, options: *options, normalised, candidate, process, sign, rho: 0.0 })
+    }
+
+    /// The same with the error map of the error behind `1 - rho q^-1`, which the estimate minimised.
+    #[must_use]
+    pub fn behind(self, rho: f64) -> Self {
+        Self { rho, ..self }
     }
 
     /// Does some `work` with an evaluator of the record.

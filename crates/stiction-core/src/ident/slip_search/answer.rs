@@ -12,6 +12,7 @@ use crate::ident::evaluator::View;
 use crate::ident::random::seeded_rng;
 use crate::ident::slip_search::evaluator::{Evaluator, Polished};
 use crate::signal::stats;
+use serde::{Deserialize, Serialize};
 
 /// Share of the error on data not fitted to that a second lag must remove to stay in the answer.
 pub(crate) const EARNED: f64 = 0.01;
@@ -37,6 +38,31 @@ const AS_GOOD: f64 = 1.01;
 /// s in spans of OP from which an index counts in full: smaller bands are within what noise and rounding imitate.
 pub(crate) const FULL_WEIGHT: f64 = 0.2;
 
+/// What settled the order of the process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum OrderBy {
+    /// It was asked for.
+    Asked,
+    /// The search: a second lag promised too little to be searched with, or nothing but it could be fitted.
+    Search,
+    /// The errors on data that neither order was fitted to.
+    HeldOut,
+}
+
+/// How the order of the process was chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct OrderChoice {
+    /// What settled it.
+    pub by: OrderBy,
+    /// Root mean squared held-out errors of the first and of the second order, PV units, where these settled it.
+    pub held_out_rms: Option<[f64; 2]>,
+    /// Coefficient of the residual's filter `1 - rho q^-1` behind which they are.
+    pub rho: f64,
+}
+
 /// The candidate to report.
 #[derive(Debug, Clone)]
 pub struct Answer {
@@ -52,6 +78,8 @@ pub struct Answer {
     pub without: f64,
     /// Candidates with other bands, fitted as `candidate` is; none where the residual is white.
     pub rivals: Vec<Candidate>,
+    /// How its order was chosen; errors in standard deviations of PV.
+    pub order: OrderChoice,
 }
 
 /// Share of an error that goes with the friction, 0..1.
@@ -73,20 +101,21 @@ impl Search<'_, '_> {
     pub(crate) fn answer(&mut self, best: Candidate, found: &Found, options: &Options) -> Option<Answer> {
         let Options { model, seed, .. } = *options;
         let rich = best;
-        let best = self.earned(rich, model, 0.0)?;
+        let (best, order) = self.earned(rich, model, 0.0)?;
         let best = self.without_an_end(best, options, 0.0);
         let without = self.without(best.class);
         let (evaluator, plain) = self.whole();
         let process = evaluator.polish(plain, &best)?;
-        let mut answer =
-            Answer { candidate: best, rho: 0.0, plain: process, plain_sse: process.sse, without, rivals: Vec::new() };
+        let (plain_sse, rivals) = (process.sse, Vec::new());
+        let mut answer = Answer { candidate: best, rho: 0.0, plain: process, plain_sse, without, rivals, order };
         if !found.is_noise && answer.index() > LEAST_INDEX {
             let rho = {
                 let (evaluator, plain) = self.whole();
                 stats::autocorrelation_1(&evaluator.residual(plain, &best, &answer.plain)).min(MOST_RHO)
             };
             if rho >= COLOURED {
-                let best = self.earned(rich, model, rho)?;
+                let (best, order) = self.earned(rich, model, rho)?;
+                answer.order = order;
                 let best = self.without_an_end(best, options, rho);
                 if best.class != answer.candidate.class {
                     answer.without = self.without(best.class);
@@ -143,24 +172,27 @@ impl Search<'_, '_> {
 
     /// The candidate without its second lag where that does not earn its place on data that it was not fitted to, by the
     /// error behind `1 - rho q^-1`.
-    fn earned(&mut self, rich: Candidate, model: ModelChoice, rho: f64) -> Option<Candidate> {
+    fn earned(&mut self, rich: Candidate, model: ModelChoice, rho: f64) -> Option<(Candidate, OrderChoice)> {
+        let by = |by: OrderBy| OrderChoice { by, held_out_rms: None, rho };
         let simpler = match (model, rich.class) {
             (ModelChoice::Auto, Class::Second) => Class::First,
             (ModelChoice::Auto, Class::LagIntegrating) => Class::Integrating,
-            _ => return Some(rich),
+            (ModelChoice::Auto, _) => return Some((rich, by(OrderBy::Search))),
+            _ => return Some((rich, by(OrderBy::Asked))),
         };
         let (evaluator, plain) = self.whole();
         let mut view = if rho == 0.0 { plain.clone() } else { evaluator.problem.view(rho, evaluator.points) };
         let rich = if rho == 0.0 { rich } else { evaluator.in_class(&mut view, &rich, rich.class)? };
         let Some(poor) = evaluator.in_class(&mut view, &rich, simpler).filter(|c| c.fit.gain != 0.0) else {
-            return Some(rich);
+            return Some((rich, by(OrderBy::Search)));
         };
         // Neighbours may be the simpler model's own best slips.
         let near = Nearness::USUAL;
         let poor = neighbours(evaluator, &mut view, poor, 2, near);
         let of_rich = held_out(evaluator, rho, &rich);
         let of_poor = held_out(evaluator, rho, &poor);
-        Some(if of_rich > (1.0 - EARNED) * of_poor { poor } else { rich })
+        let order = OrderChoice { held_out_rms: Some([of_poor.sqrt(), of_rich.sqrt()]), ..by(OrderBy::HeldOut) };
+        Some((if of_rich > (1.0 - EARNED) * of_poor { poor } else { rich }, order))
     }
 
     /// What a disturbance adds to PV stays in the residual from sample to sample; with the residual's own first-order filter
