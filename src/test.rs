@@ -10,9 +10,11 @@ use super::reading::{ReadArgs, config_file, scenario_file};
 use super::{Format, Outcome, UsageError, in_order_on_all_cores, list, say, stop};
 use stiction_core::record::Sample;
 use stiction_core::units::optional;
+use stiction_daemon::received;
 use stiction_daemon::replay::Replay;
 use stiction_files::export::{Map, Zone};
 use stiction_files::{LoadedLoop, choose_loop};
+use stiction_monitor::alarm::no_alarm;
 use stiction_monitor::config::Config;
 use stiction_monitor::expectations::{Case, Difference, Found, parse};
 
@@ -243,7 +245,11 @@ fn summary(found: &Found) -> String {
     let word = |value: &Value| value.as_str().unwrap_or("none").to_owned();
     let reason = estimate["reason"].as_str().map_or_else(String::new, |reason| format!(" ({reason})"));
     let s = optional(estimate["s"].as_f64());
-    let alarm = if found.alarm { "active" } else { "not active" };
+    let why_none = received::estimate(estimate).and_then(|e| no_alarm(&e.assessment)).filter(|_| !found.alarm);
+    let alarm = match why_none {
+        Some(why) => format!("not active ({why})"),
+        None => (if found.alarm { "active" } else { "not active" }).to_owned(),
+    };
     let (end, verdict) = (word(&estimate["window"]["end"]), word(&estimate["verdict"]));
     format!("window to {end}: {verdict}{reason}, s {s}, alarm {alarm}")
 }

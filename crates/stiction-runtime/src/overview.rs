@@ -19,7 +19,7 @@ use serde::Serialize;
 use stiction_core::ident::region::{Region, Size};
 use stiction_core::units::{ms_from_ns, s_from_ns};
 use stiction_core::verdict::{EstimateDocument, Gate, Verdict, words};
-use stiction_monitor::alarm::{AlarmDocument, LoopContext, Priority, State};
+use stiction_monitor::alarm::{AlarmDocument, LoopContext, Priority, State, no_alarm};
 use stiction_monitor::engine::LoopFigures;
 
 pub use candidates::Candidate;
@@ -457,7 +457,7 @@ impl Entry {
         };
         let headline = words::claim(a);
         let has = |gates: &[Gate]| a.gates.iter().find(|g| gates.contains(g)).copied();
-        if let Some(gate) = has(&[Gate::FrozenPv, Gate::FrozenOp, Gate::Swapped, Gate::BadQuality]) {
+        if let Some(gate) = has(&[Gate::FrozenPv, Gate::FrozenOp, Gate::NoResponse, Gate::Swapped, Gate::BadQuality]) {
             return (Some("F"), words::gate(gate).to_owned());
         }
         if let Some(reason) = a.reason.filter(|reason| *reason == "stuck_signal") {
@@ -476,7 +476,7 @@ impl Entry {
             format!("{} ({count} of the last {of} windows)", words::verdict(shown))
         };
         match shown {
-            Verdict::Stiction | Verdict::Deadband => (Some("S"), format!("{headline}; no alarm yet")),
+            Verdict::Stiction | Verdict::Deadband => (Some("S"), format!("{headline}; {}", no_alarm(a).unwrap_or("no alarm yet"))),
             Verdict::Tuning | Verdict::Disturbance => (Some("S"), headline),
             Verdict::CauseUnknown | Verdict::NotOscillating => (Some("ok"), headline),
             Verdict::Inconclusive => (None, a.reason.map_or(headline, words::reason)),
