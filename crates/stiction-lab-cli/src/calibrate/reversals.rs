@@ -12,7 +12,7 @@ use stiction_truth::rates::share;
 use stiction_truth::{Half, verdict_case};
 
 /// Rows of the table: reversals from the first to the last.
-const ROWS: [[usize; 2]; 8] = [[0, 1], [2, 3], [4, 5], [6, 7], [8, 11], [12, 19], [20, 39], [40, usize::MAX]];
+const ROWS: [[usize; 2]; 8] = [[0, 0], [1, 1], [2, 3], [4, 7], [8, 11], [12, 19], [20, 39], [40, usize::MAX]];
 
 /// One record that is called sticking and does not count by its periods.
 struct Called {
@@ -78,7 +78,11 @@ fn row(of: &str, found: &[Called], [from, to]: [usize; 2], format: Format) -> an
         Format::Json => say(json!({"schema": "stictiond.reversals.v1", "of": of, "reversals": [from, to],
             "called": {"sticking": all.0, "all": all.1}, "sure": {"sticking": sure.0, "all": sure.1}}))?,
         Format::Text => {
-            let name = if to == usize::MAX { format!("{from} on") } else { format!("{from} to {to}") };
+            let name = match to {
+                usize::MAX => format!("{from} on"),
+                _ if from == to => from.to_string(),
+                _ => format!("{from} to {to}"),
+            };
             say(format!("  {name:<12}{:<30}{}", share(all.0, all.1).trim_start(), share(sure.0, sure.1).trim_start()))?;
         }
     }
