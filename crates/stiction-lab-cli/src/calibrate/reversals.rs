@@ -14,21 +14,22 @@ use stiction_truth::{Half, verdict_case};
 /// Rows of the table: reversals from the first to the last.
 const ROWS: [[usize; 2]; 8] = [[0, 0], [1, 1], [2, 3], [4, 7], [8, 11], [12, 19], [20, 39], [40, usize::MAX]];
 
-/// One record that is called sticking and does not count by its periods.
+/// One record that is called sticking.
 struct Called {
     sticks: bool,
-    reversals: usize,
+    /// `None` where it counts by its periods.
+    reversals: Option<usize>,
     /// Surely enough for an alarm.
     alarms: bool,
 }
 
-/// What a record gives, if it is called sticking without enough periods.
+/// What a record gives, if it is called sticking.
 fn called(judgeable: &Judgeable, sticks: bool) -> Option<Called> {
     let params = AssessParams { min_reversals: 0, ..judgeable.params.clone() };
     let a = assess_in_windows(&judgeable.record, &judgeable.windows, &params);
-    let by_reversals = a.stiction == Some(true) && a.counted_by == Some(CountedBy::Reversals);
+    let reversals = a.reversals.filter(|_| a.counted_by == Some(CountedBy::Reversals));
     let alarms = a.explanation.is_some_and(|opinion| opinion.alarms());
-    Some(Called { sticks, reversals: a.reversals.filter(|_| by_reversals)?, alarms })
+    (a.stiction == Some(true)).then_some(Called { sticks, reversals, alarms })
 }
 
 fn of_half(half: Half, loops: u64, seed: u64) -> Vec<Called> {
@@ -57,31 +58,37 @@ pub(super) fn run(loops: u64, seed: u64, index: Option<&Path>, format: Format) -
     let recordings = index.map(of_recordings).transpose()?.map(|found| ("labelled recordings", found));
     for (name, found) in halves.iter().chain(&recordings) {
         if format == Format::Text {
-            say(format!("{name}: called sticking without enough periods, by reversals of the stem"))?;
+            say(format!("{name}: called sticking, without enough periods by the reversals of the stem"))?;
             say(format!("  {:<12}{:<30}{}", "reversals", "stick, of all at p >= 0.5", "stick, of all at p >= 0.7"))?;
         }
-        for [from, to] in ROWS {
-            row(name, found, [from, to], format)?;
+        for row in ROWS.map(Some).into_iter().chain([None]) {
+            print(name, found, row, format)?;
         }
     }
     Ok(Outcome::Done)
 }
 
-fn row(of: &str, found: &[Called], [from, to]: [usize; 2], format: Format) -> anyhow::Result<()> {
-    let here = || found.iter().filter(|one| (from..=to).contains(&one.reversals));
+/// Prints one row: so many reversals from the first to the last, or those that count by their periods.
+fn print(of: &str, found: &[Called], row: Option<[usize; 2]>, format: Format) -> anyhow::Result<()> {
+    let is_here = |one: &&Called| match (row, one.reversals) {
+        (Some([from, to]), Some(reversals)) => (from..=to).contains(&reversals),
+        (row, reversals) => row.is_none() && reversals.is_none(),
+    };
+    let here = || found.iter().filter(is_here);
     let count = |surely: bool| {
         let told = || here().filter(|one| one.alarms || !surely);
         (told().filter(|one| one.sticks).count(), told().count())
     };
     let [all, sure] = [false, true].map(count);
     match format {
-        Format::Json => say(json!({"schema": "stictiond.reversals.v1", "of": of, "reversals": [from, to],
+        Format::Json => say(json!({"schema": "stictiond.reversals.v1", "of": of, "reversals": row,
             "called": {"sticking": all.0, "all": all.1}, "sure": {"sticking": sure.0, "all": sure.1}}))?,
         Format::Text => {
-            let name = match to {
-                usize::MAX => format!("{from} on"),
-                _ if from == to => from.to_string(),
-                _ => format!("{from} to {to}"),
+            let name = match row {
+                None => "by periods".to_owned(),
+                Some([from, usize::MAX]) => format!("{from} on"),
+                Some([from, to]) if from == to => from.to_string(),
+                Some([from, to]) => format!("{from} to {to}"),
             };
             say(format!("  {name:<12}{:<30}{}", share(all.0, all.1).trim_start(), share(sure.0, sure.1).trim_start()))?;
         }
