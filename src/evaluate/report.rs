@@ -118,6 +118,7 @@ fn print_json(judged: &[Judged]) -> anyhow::Result<()> {
                 "scored": case.truth().is_some(), "right": case.truth().map(|t| a.stiction == Some(t)),
                 "verdict": a.verdict, "stiction": a.stiction, "p_stiction": a.p_stiction, "s": a.s, "j": a.j,
                 "stiction_index": a.stiction_index, "s_over_span": a.s_over_span, "gates": a.gates,
+                "reversals": a.reversals, "oscillation": a.oscillation,
                 "reason": a.reason, "implausible": a.implausible, "doubtful": case.doubtful, "indicators": a.indicators, "explanation": a.explanation}))?,
             Err(error) => say(json!({"schema": "stictiond.case.v1", "file": case.file, "label": case.label,
                 "error": format!("{error:#}")}))?,

@@ -6,11 +6,11 @@ use serde_json::json;
 use crate::{Format, on_all_cores, say};
 use stiction_core::verdict::rule::Rule;
 use stiction_core::verdict::tally::{self, Scored};
-use stiction_core::verdict::{AssessParams, assess, assess_in_windows};
+use stiction_core::verdict::{AssessParams, Assessment, assess, assess_in_windows};
 use stiction_monitor::alarm::{AlarmParams, Evidence};
 use stiction_monitor::analysis::Judgeable;
 use stiction_truth::rates::{self, Called, reliability_lines};
-use stiction_truth::{Half, verdict_case, verdict_stretch};
+use stiction_truth::{Half, TruthLoop, verdict_case, verdict_stretch};
 
 /// Simulated loops: how many, from which seed.
 #[derive(Debug, Clone, Copy)]
@@ -32,14 +32,20 @@ impl Loops {
 /// # Errors
 /// Nothing can be printed.
 pub fn print(loops: Loops, format: Format) -> anyhow::Result<()> {
-    let told = loops.each(Half::Report, |seed| {
+    let judged: Vec<(TruthLoop, Assessment)> = loops.each(Half::Report, |seed| {
         let case = verdict_case(Half::Report, seed);
         let Judgeable { record, windows, params } = case.judgeable();
         let a = assess_in_windows(&record, &windows, &params);
-        let interval = a.s_interval.filter(|_| a.stiction == Some(false));
-        let bounded = case.s.zip(interval).map(|(s, [low, high])| (low..=high).contains(&s));
-        (case.kind, Scored { truth: case.sticks, answer: a.stiction, p: a.p_stiction, weight: 1.0 }, bounded)
+        (case, a)
     });
+    let told: Vec<(&'static str, Scored, Option<bool>)> = judged
+        .iter()
+        .map(|(case, a)| {
+            let interval = a.s_interval.filter(|_| a.stiction == Some(false));
+            let bounded = case.s.zip(interval).map(|(s, [low, high])| (low..=high).contains(&s));
+            (case.kind, Scored { truth: case.sticks, answer: a.stiction, p: a.p_stiction, weight: 1.0 }, bounded)
+        })
+        .collect();
     let cuts = Rule::shipped().cuts;
     let thresholds = [cuts.called, cuts.alarm];
     let called = |(kind, scored, _): &(&'static str, Scored, Option<bool>)| Called {
@@ -53,6 +59,9 @@ pub fn print(loops: Loops, format: Format) -> anyhow::Result<()> {
     let inside = bounded.iter().filter(|inside| **inside).count();
     let answered = all.iter().filter(|s| s.answer.is_some()).count();
     if format == Format::Json {
+        for (case, a) in &judged {
+            say(document(case, a))?;
+        }
         let counts = [0, 1].map(|decision| {
             let [positives, negatives] = [true, false].map(|sticks| rates::count(&table, sticks, decision));
             json!({"threshold": thresholds[decision], "true_positives": positives.0, "sticking": positives.1,
@@ -79,6 +88,14 @@ pub fn print(loops: Loops, format: Format) -> anyhow::Result<()> {
         say(line)?;
     }
     Ok(())
+}
+
+/// One loop for programs.
+fn document(case: &TruthLoop, a: &Assessment) -> serde_json::Value {
+    json!({"schema": "stictiond.simulated_case.v1", "seed": case.seed, "moved_by": case.kind, "sticks": case.sticks,
+        "s_true": case.s, "right": a.stiction == Some(case.sticks), "verdict": a.verdict, "stiction": a.stiction,
+        "p_stiction": a.p_stiction, "s": a.s, "gates": a.gates, "reason": a.reason, "reversals": a.reversals,
+        "oscillation": a.oscillation})
 }
 
 /// Shares of valves that stick, for which it is said what an alarm is worth.

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use stiction_core::ident::region::Size;
 use stiction_core::units::Moment;
-use stiction_core::verdict::{Assessment, Oscillation, Verdict, Window};
+use stiction_core::verdict::{Assessment, CountedBy, Oscillation, Verdict, Window};
 use stiction_monitor::alarm::AlarmParams;
 use stiction_monitor::alarm::{Alarm, Command, MAX_SHELVE_S};
 
@@ -25,13 +25,14 @@ fn window(end_ns: i64, vote: Option<char>, class: usize) -> Assessment {
     let oscillation =
         Oscillation { oscillating: true, period_s: None, periods: None, samples_per_period: None, regularity: None };
     let mut a = Assessment::empty(window, oscillation);
-    // The limit is 1: above it, far below it, a little below it, silent.
+    // The limit is 1: above it, far below it, a little below it, silent or without enough evidence.
     let (verdict, s) = match vote {
         Some('f') => (Verdict::Stiction, 2.0),
         Some('a') => (Verdict::Tuning, 0.0),
         Some(_) => (Verdict::Stiction, 0.9),
-        None => (Verdict::Inconclusive, 0.0),
+        None => [(Verdict::Inconclusive, 0.0), (Verdict::Stiction, 2.0), (Verdict::Tuning, 0.0)][class],
     };
+    a.counted_by = vote.map(|_| CountedBy::Reversals);
     (a.verdict, a.stiction, a.s, a.severity_by_range) = (verdict, verdict.stiction(), Some(s), Some(CLASSES[class]));
     a
 }

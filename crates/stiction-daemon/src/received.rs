@@ -92,6 +92,8 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
         interval_level: read(d, "interval_level"),
         j_identifiable: read(d, "j_identifiable"),
         s_detectable: read(d, "s_detectable"),
+        counted_by: read(d, "counted_by"),
+        reversals: read(d, "reversals"),
         stiction_index: read(d, "stiction_index"),
         s_over_span: read(d, "s_over_span"),
         region: read(d, "region"),

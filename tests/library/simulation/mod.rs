@@ -34,7 +34,7 @@ use receiver::{Account, Receiver};
 use stiction_core::gap::Serial;
 use stiction_core::ident::region::Size;
 use stiction_core::units::Moment;
-use stiction_core::verdict::{Assessment, Oscillation, Verdict, Window};
+use stiction_core::verdict::{Assessment, CountedBy, Oscillation, Verdict, Window};
 use stiction_daemon::gaps::Outcome;
 use stiction_daemon::sim_daemon::SimDaemon;
 use stiction_daemon::source::Message;
@@ -102,6 +102,7 @@ fn scripted(seed: u64, name: &str, request: &Request) -> Assessment {
     let oscillation = Oscillation { oscillating: sticks, period_s, periods, samples_per_period, regularity };
     let mut a = Assessment::empty(window, oscillation);
     (a.verdict, a.stiction, a.s) = (verdict, verdict.stiction(), Some(s));
+    a.counted_by = Some(CountedBy::Periods);
     a.strength_by_span = Some(CLASSES[(draw(&format!("class {}", request.end_ns)) % 3) as usize]);
     a
 }

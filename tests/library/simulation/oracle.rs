@@ -56,10 +56,10 @@ pub struct Oracle {
 fn vote_of(document: &Value) -> (Option<char>, usize) {
     let class = document["severity_by_range"].as_str().or(document["strength_by_span"].as_str()).unwrap_or("none");
     let class = CLASSES.iter().position(|c| *c == class).map_or(0, |at| at + 1);
-    let coarse = document["gates"].as_array().unwrap().iter().any(|gate| gate == "too_coarse");
+    let counts = document["counted_by"].is_string();
     let vote = match (document["stiction"].as_bool(), document["s"].as_f64()) {
         (None, _) => None,
-        (Some(true), _) if coarse => None,
+        _ if !counts => None,
         (Some(true), Some(s)) if s >= 1.0 => Some('f'),
         (Some(true), Some(s)) if s >= 0.8 => Some('-'),
         _ => Some('a'),

@@ -132,12 +132,16 @@ pub fn better_data(reason: &str) -> &'static str {
     match reason {
         "manual" => "choose a section in which the controller is in automatic, or record one",
         "bad_quality" => "find out why values are missing or bad, and record again",
-        "frozen_pv" | "stuck_signal" => "check the transmitter, the block valves and the valve itself first",
+        "frozen_pv" | "stuck_signal" | "no_response" => "check the transmitter, the block valves and the valve itself first",
         "frozen_op" => "record a time in which the controller moves OP",
+        "op_scale" => "give OP's range as OP is recorded: --op-range 0,1, or op_range = [0, 1] in the configuration",
         "swapped" => "exchange the keys or columns of OP and PV",
         "saturated" => "choose a section in which OP is not at a limit",
         "too_few_samples" | "too_few_periods" => "record longer: at least five periods of the oscillation",
-        "too_coarse" => "record faster: at least 50 samples a period",
+        "too_few_reversals" => {
+            "record longer, or a time in which the set point or the load moves: the stem must change its direction more often"
+        }
+        "rate_too_low" | "too_coarse" => "record faster: at least 50 samples a period",
         "op_held" => "record OP faster, or with less compression in the historian",
         "daily_cycle" => "look at sections of a few hours, sampled faster, in which the daily cycle plays no part",
         "trend" => "choose a section without the trend, or one in which the loop oscillates",
@@ -158,13 +162,15 @@ mod tests {
         let other = better_data("anything else");
         for reason in [
             "manual",
-            "too_coarse",
+            "rate_too_low",
+            "no_response",
+            "op_scale",
             "op_held",
             "daily_cycle",
             "trend",
             "stuck_signal",
             "swapped",
-            "too_few_periods",
+            "too_few_reversals",
             "masked",
         ] {
             assert_ne!(better_data(reason), other, "{reason}");

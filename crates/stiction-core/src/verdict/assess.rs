@@ -5,10 +5,11 @@ use super::document::{Assessment, Controller, Gate, Search, Window};
 use super::evidence::{Answer, FirstLook, Windows, describe, options};
 use super::excursion;
 use super::features::Figures;
-use super::judgement::{Judgement, grade};
+use super::judgement::{Judgement, counted_by, grade, reversals_of_op};
 use super::params::AssessParams;
 use super::rule::Rule;
 use super::screen;
+use super::swapped;
 use super::valve_position::ValvePosition;
 use crate::ident::Estimate;
 use crate::ident::controller::Reading;
@@ -46,11 +47,14 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
 #[must_use]
 pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessParams) -> Assessment {
     let window = Window::of(record);
-    let calm = excursion::without(record).filter(|_| windows.is_empty()).map(|[from, to]| record.part(from, to));
+    let event = excursion::without(record).filter(|_| windows.is_empty());
+    // Without a set point it may be the answer to a step.
+    let is_upset = record.sp.is_some();
+    let calm = event.filter(|_| is_upset).map(|[from, to]| record.part(from, to));
     let record = calm.as_ref().unwrap_or(record);
     let mut first = FirstLook::of(record, params);
-    if calm.is_some() {
-        first.gates.push(Gate::Excursion);
+    if event.is_some() {
+        first.gates.push(if is_upset { Gate::Excursion } else { Gate::StepOrUpset });
     }
     let whole = Assessment {
         gates: first.gates.clone(),
@@ -65,7 +69,15 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
         return Assessment { reason: Some(if stuck { STUCK_SIGNAL } else { gate.name() }), ..whole };
     }
     if params.screening && !params.always_fit && screen::is_screened_out(record, &first.looks, &first.gates) {
-        return screen::answer(whole);
+        let reversals = reversals_of_op(record);
+        let counted_by = counted_by(&whole.oscillation, reversals, params);
+        return screen::answer(Assessment { reversals: Some(reversals), counted_by, ..whole });
+    }
+    if record.sp.is_none() && swapped::by_controller(record) {
+        let mut gates = whole.gates;
+        gates.push(Gate::Swapped);
+        gates.sort_unstable();
+        return Assessment { reason: Some(Gate::Swapped.name()), gates, ..whole };
     }
     let pv_span = Some(stats::span(&record.pv)).filter(|span| span.is_finite());
     let Some(answer) = Windows::of(record, windows, params, first).answer(params) else { return whole };
@@ -97,12 +109,20 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
     let fit = answer.sized.estimate.as_ref();
     let p = answer.opinion.p();
     let confidence = judgement.confidence(p);
+    let mut gates = whole.gates;
+    if judgement.counted_by.is_none() {
+        gates.push(Gate::TooFewReversals);
+        gates.sort_unstable();
+    }
     let found = Assessment {
         verdict: judgement.verdict,
         stiction: judgement.verdict.stiction(),
         reason: judgement.reason,
         p_stiction: Some(p),
         confidence,
+        gates,
+        counted_by: judgement.counted_by,
+        reversals: Some(judgement.reversals),
         stiction_index: fit.map(Estimate::stiction_index),
         controller: answer.controller.as_ref().map(as_document),
         indicators: Rule::shipped().indicators(&answer.features),
@@ -195,6 +215,35 @@ mod tests {
         assert_eq!((found.reason, found.stiction, found.p_stiction), (Some(STUCK_SIGNAL), None, None));
         let both = assess(&Record::uniform(1.0, vec![2.0; 500], vec![1.0; 500]), &AssessParams::default());
         assert_eq!(both.reason, Some(Gate::FrozenPv.name()));
+    }
+
+    #[test]
+    fn without_a_set_point_a_step_is_not_called_an_upset() {
+        let jumped = |x: Vec<f64>| x.into_iter().enumerate().map(|(k, v)| if k < 450 { v } else { v - 90.0 }).collect();
+        let [op, pv] = [61.3, 61.3].map(|period| jumped(wave(500, period)));
+        // In manual, so that nothing is fitted.
+        let mut record = Record::uniform(1.0, op, pv);
+        record.facts.manual = 100;
+        let of = |record: &Record| assess(record, &AssessParams::default());
+        let kept = of(&record);
+        assert!(kept.gates.ends_with(&[Gate::StepOrUpset]) && kept.counted_by.is_none(), "{:?}", kept.gates);
+        let cut = of(&Record { sp: Some(vec![50.0; 500]), ..record });
+        assert!(cut.gates.ends_with(&[Gate::Excursion]), "{:?}", cut.gates);
+    }
+
+    #[test]
+    fn swapped_signals_without_a_set_point_are_named_in_the_answer() {
+        let at = |t: f64| libm::sin(t * 0.13) + 0.3 * libm::sin(t * 0.9) + 0.2 * libm::sin(t * t * 0.01);
+        let pv: Vec<f64> = (0..600).map(|k| 50.0 + at(f64::from(k))).collect();
+        let mut integral = 0.0;
+        let pi = |p: &f64| {
+            integral += 0.035 * (50.0 - p);
+            30.0 + 0.7 * (50.0 - p) + integral
+        };
+        let op: Vec<f64> = pv.iter().map(pi).collect();
+        let found = assess(&Record::uniform(5.0, pv, op), &AssessParams { always_fit: true, ..AssessParams::default() });
+        assert_eq!((found.reason, found.p_stiction), (Some("swapped"), None));
+        assert!(found.gates.contains(&Gate::Swapped));
     }
 
     #[test]

@@ -87,18 +87,26 @@ pub enum Gate {
     FrozenPv,
     /// OP never moved.
     FrozenOp,
+    /// OP ran on while PV stayed away from its set point: PV does not answer OP.
+    NoResponse,
+    /// OP looks like a fraction of its range, 0 to 1.
+    OpScale,
     /// OP follows the set point, and PV does not: the two seem to be swapped.
     Swapped,
     /// OP was at a limit.
     Saturated,
     /// Fewer than 30 usable samples, or fewer than 2 periods.
     TooFewSamples,
+    /// Fewer than 10 samples in a period: nothing can be said of its cause.
+    RateTooLow,
     /// The window was not fitted: the machine was too busy, or the daemon stopped.
     Skipped,
     /// Fewer periods than required.
     TooFewPeriods,
     /// Fewer samples per period than required.
     TooCoarse,
+    /// Neither enough periods nor enough reversals of the stem: the window is inconclusive.
+    TooFewReversals,
     /// The set point moved in steps.
     SetpointSteps,
     /// OP or PV has a coarse resolution.
@@ -109,26 +117,33 @@ pub enum Gate {
     Irregular,
     /// A single event, such as a trip or a start-up, was removed.
     Excursion,
+    /// A single event was kept: without a set point a step cannot be told from an upset.
+    StepOrUpset,
 }
 
 impl Gate {
     /// All validity checks, blocking ones first.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 20] = [
         Self::Manual,
         Self::BadQuality,
         Self::FrozenPv,
         Self::FrozenOp,
+        Self::NoResponse,
+        Self::OpScale,
         Self::Swapped,
         Self::Saturated,
         Self::TooFewSamples,
+        Self::RateTooLow,
         Self::Skipped,
         Self::TooFewPeriods,
         Self::TooCoarse,
+        Self::TooFewReversals,
         Self::SetpointSteps,
         Self::Quantised,
         Self::Compressed,
         Self::Irregular,
         Self::Excursion,
+        Self::StepOrUpset,
     ];
 
     /// Whether the check prevents any answer.
@@ -140,9 +155,12 @@ impl Gate {
                 | Self::BadQuality
                 | Self::FrozenPv
                 | Self::FrozenOp
+                | Self::NoResponse
+                | Self::OpScale
                 | Self::Swapped
                 | Self::Saturated
                 | Self::TooFewSamples
+                | Self::RateTooLow
                 | Self::Skipped
         )
     }
@@ -155,28 +173,46 @@ impl Gate {
             Self::BadQuality => "bad_quality",
             Self::FrozenPv => "frozen_pv",
             Self::FrozenOp => "frozen_op",
+            Self::NoResponse => "no_response",
+            Self::OpScale => "op_scale",
             Self::Swapped => "swapped",
             Self::Saturated => "saturated",
             Self::TooFewSamples => "too_few_samples",
+            Self::RateTooLow => "rate_too_low",
             Self::Skipped => "skipped",
             Self::TooFewPeriods => "too_few_periods",
             Self::TooCoarse => "too_coarse",
+            Self::TooFewReversals => "too_few_reversals",
             Self::SetpointSteps => "setpoint_steps",
             Self::Quantised => "quantised",
             Self::Compressed => "compressed",
             Self::Irregular => "irregular",
             Self::Excursion => "excursion",
+            Self::StepOrUpset => "step_or_upset",
         }
     }
 }
 
+/// The rule by which a window holds enough evidence.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum CountedBy {
+    /// Enough periods of enough samples each.
+    Periods,
+    /// Enough reversals of the stem.
+    Reversals,
+}
+
 /// Words of [`Assessment::reason`] that are not the name of a blocking check.
-const REASONS: [&str; 10] = [
+const REASONS: [&str; 11] = [
     "stuck_signal",
     "implausible_model",
     "daily_cycle",
     "trend",
     "op_held",
+    "too_few_reversals",
+    // Of documents from before reversals were counted.
     "too_coarse",
     "too_few_periods",
     "not_fitted",
@@ -339,8 +375,8 @@ pub struct Assessment {
     pub contributing: Vec<Verdict>,
     /// Whether the valve sticks; `None` if the window is inconclusive.
     pub stiction: Option<bool>,
-    /// Why there is no answer: the first blocking validity check, `too_coarse` or `too_few_periods` (sticking is likely, but not
-    /// enough for an alarm), `stuck_signal` (PV is constant while OP moves), `not_fitted`, `implausible_model` (no plausible
+    /// Why there is no answer: the first blocking validity check, `too_few_reversals` (neither enough periods nor enough
+    /// reversals of the stem), `stuck_signal` (PV is constant while OP moves), `not_fitted`, `implausible_model` (no plausible
     /// model), `daily_cycle`, `trend` or `op_held` (OP is stored too rarely to show the valve's input); `masked` (an oscillation that it shares with other
     /// loops hides the valve's state); or why there is only a verdict: `screened` (a calm loop, for which nothing else was computed).
     pub reason: Option<&'static str>,
@@ -376,6 +412,11 @@ pub struct Assessment {
     pub j_identifiable: Option<bool>,
     /// Smallest s that this window would have shown, OP units; `None` where stiction was found or it cannot be determined.
     pub s_detectable: Option<f64>,
+    /// By which rule the window counts for an alarm; `None` for one that neither raises nor clears it.
+    pub counted_by: Option<CountedBy>,
+    /// Times that the stem changed its direction: that of the fitted valve where it is said to stick, else one that follows
+    /// OP. `None` behind a blocking validity check.
+    pub reversals: Option<usize>,
     /// 1 - error with stiction / error without, 0..1.
     pub stiction_index: Option<f64>,
     /// s over the span of OP in the window.
@@ -456,6 +497,8 @@ impl Assessment {
             interval_level: None,
             j_identifiable: None,
             s_detectable: None,
+            counted_by: None,
+            reversals: None,
             stiction_index: None,
             s_over_span: None,
             region: None,

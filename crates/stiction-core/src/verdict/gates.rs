@@ -4,13 +4,25 @@ use super::document::{Gate, Oscillation};
 use super::params::AssessParams;
 use super::swapped;
 use crate::record::Record;
-use crate::signal::stats;
+use crate::signal::{detrend, stats};
 
 /// Fewest points for an estimate.
 const MIN_SAMPLES: usize = 30;
 /// Largest share of samples in manual, or bad and filled, in a window.
 const MANUAL_SHARE: f64 = 0.05;
 const BAD_SHARE: f64 = 0.2;
+/// Samples in a period below which nothing can be said of what makes it.
+const FEWEST_A_PERIOD: f64 = 10.0;
+/// Where PV does not answer: its distance from the set point, standard deviations of PV, throughout the window, and the
+/// share of OP's variance in a straight line while PV's holds less than the other. An integrating controller runs so against
+/// an error that it cannot move.
+const AWAY: f64 = 3.0;
+const RUNS: f64 = 0.9;
+const FOLLOWS: f64 = 0.5;
+/// Share of its range below which the span of an OP from 0 to 1 is that of a fraction, and the least of a fraction's middle:
+/// a valve that is all but shut has such an OP, too.
+const FRACTION_SPAN: f64 = 0.01;
+const FRACTION_MIDDLE: f64 = 0.05;
 /// Share of repeated samples above which a signal counts as frozen.
 const FROZEN_SHARE: f64 = 0.995;
 /// Share of OP samples at an end of its range above which it counts as saturated: at a limit neither valve nor controller is
@@ -28,9 +40,14 @@ const IRREGULAR: f64 = 0.1;
 /// All validity checks that apply to the record, in the order of [`Gate::ALL`].
 #[must_use]
 pub(crate) fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) -> Vec<Gate> {
+    if record.len() < MIN_SAMPLES {
+        // So few show nothing else.
+        return vec![Gate::TooFewSamples];
+    }
     let op = record.op();
     let raw = record.raw_samples.max(1) as f64;
     let facts = &record.facts;
+    let density = oscillation.samples_per_period;
     let periods = oscillation.periods;
     // Of a few samples nobody can tell whether they stand still.
     let is_short = record.len() < MIN_SAMPLES;
@@ -40,18 +57,22 @@ pub(crate) fn gates(record: &Record, oscillation: &Oscillation, params: &AssessP
         Gate::BadQuality => f64::from(facts.bad) + f64::from(facts.filled) > BAD_SHARE * raw,
         Gate::FrozenPv => !is_short && is_frozen(&record.pv, f64::from(facts.pv_repeats) / raw),
         Gate::FrozenOp => !is_short && is_frozen(&record.op_path, f64::from(facts.op_repeats) / raw),
+        Gate::NoResponse => has_no_response(record, &op),
+        Gate::OpScale => params.op_range.is_some_and(|range| is_fraction(&record.op_path, range)),
+        // By the controller only where a fit is worth it, which takes as long.
         Gate::Swapped => swapped::by_set_point(record),
         Gate::Saturated => is_saturated(&op, params.op_range),
         Gate::TooFewSamples => is_short || periods.is_some_and(|p| p < 2.0),
+        Gate::RateTooLow => oscillation.oscillating && density.is_some_and(|n| n < FEWEST_A_PERIOD),
         Gate::Skipped => false,
         Gate::TooFewPeriods => periods.is_some_and(|p| p < params.min_periods),
-        Gate::TooCoarse => oscillation.samples_per_period.is_some_and(|n| n < params.min_samples_per_period),
+        Gate::TooCoarse => density.is_some_and(|n| n < params.min_samples_per_period),
         Gate::SetpointSteps => record.sp.as_deref().is_some_and(|sp| has_steps(sp, &record.pv)),
         Gate::Quantised => quantised,
         Gate::Compressed => is_compressed(record, quantised),
         Gate::Irregular => record.irregularity > IRREGULAR,
-        // Met by whoever cuts it out.
-        Gate::Excursion => false,
+        // Met by whoever finds it.
+        Gate::TooFewReversals | Gate::Excursion | Gate::StepOrUpset => false,
     };
     Gate::ALL.into_iter().filter(|g| met(*g)).collect()
 }
@@ -62,6 +83,25 @@ fn is_frozen(x: &[f64], repeats: f64) -> bool {
     let high = x.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let width = high - low;
     !width.is_finite() || width <= 1e-9 * high.abs().max(low.abs()) || repeats >= FROZEN_SHARE
+}
+
+/// OP runs on in a straight line while PV rests away from its set point. Without a set point this is also how a loop looks
+/// that holds its PV against a drifting load.
+fn has_no_response(record: &Record, op: &[f64]) -> bool {
+    let Some(sp) = record.sp.as_deref().filter(|sp| sp.len() == record.len()) else { return false };
+    let error: Vec<f64> = sp.iter().zip(&record.pv).map(|(s, p)| s - p).collect();
+    let mean = stats::mean(&error);
+    let away = mean.abs() > AWAY * stats::std_dev(&record.pv) && error.iter().all(|e| e * mean > 0.0);
+    let in_line = |x: &[f64]| 1.0 - stats::variance(&detrend::remove_line(x)) / stats::variance(x);
+    // A controller without integral action rests away from its set point, and its OP is an image of PV.
+    away && in_line(op) > RUNS && in_line(&record.pv) < FOLLOWS
+}
+
+/// Whether OP, though its range is much wider, moves between 0 and 1: it seems to be a fraction of that range.
+#[must_use]
+pub fn is_fraction(op: &[f64], [low, high]: [f64; 2]) -> bool {
+    let narrow = stats::span(op) < FRACTION_SPAN * (high - low).abs();
+    narrow && op.iter().all(|u| (0.0..=1.0).contains(u)) && stats::median(op) >= FRACTION_MIDDLE && !is_frozen(op, 0.0)
 }
 
 /// OP is for two fifths of the time at a limit of its range or, if that is unknown, exactly at an extreme that it otherwise
@@ -184,6 +224,55 @@ mod tests {
         let record = Record { sp: Some(vec![50.0; 500]), ..Record::uniform(1.0, wave(500, 61.3), far.clone()) };
         assert_eq!(gates(&record, &STILL, &AssessParams::default()), vec![Gate::Swapped]);
         assert!(of(wave(500, 61.3), far).is_empty());
+    }
+
+    #[test]
+    fn a_few_samples_show_only_that_they_are_few() {
+        for n in [1, 29] {
+            assert_eq!(of(vec![1.0; n], vec![1.0; n]), vec![Gate::TooFewSamples]);
+        }
+    }
+
+    #[test]
+    fn below_ten_samples_a_period_nothing_is_said() {
+        let density = |n: f64, oscillating: bool| {
+            let seen = Oscillation { oscillating, samples_per_period: Some(n), ..STILL };
+            gates(&Record::uniform(1.0, wave(500, 61.3), wave(500, 61.3)), &seen, &AssessParams::default())
+        };
+        assert_eq!(density(9.9, true), vec![Gate::RateTooLow, Gate::TooCoarse]);
+        assert_eq!(density(10.1, true), vec![Gate::TooCoarse]);
+        // Crossings of what does not oscillate are those of its noise.
+        assert_eq!(density(3.0, false), vec![Gate::TooCoarse]);
+    }
+
+    #[test]
+    fn a_pv_that_does_not_answer_is_told_from_one_that_is_held() {
+        let noise = |k: usize| libm::sin(k as f64 * k as f64 * 0.7);
+        let found = |pv: &dyn Fn(usize) -> f64, op: &dyn Fn(usize) -> f64| {
+            let [op, pv] = [op, pv].map(|of| (0..500).map(of).collect::<Vec<f64>>());
+            gates(&Record { sp: Some(vec![2.5; 500]), ..Record::uniform(1.0, op, pv) }, &STILL, &AssessParams::default())
+        };
+        let ramp = |k: usize| 5.0 + 0.1 * k as f64;
+        assert_eq!(found(&|k| 0.02 * noise(k), &ramp), vec![Gate::NoResponse]);
+        // Held at the set point against a load that drifts; and proportional action, whose OP is an image of PV.
+        assert!(found(&|k| 2.5 + 0.02 * noise(k), &ramp).is_empty());
+        assert!(found(&|k| 1.0 + 1e-3 * k as f64, &|k| 50.0 - 0.1 * k as f64 + noise(k)).is_empty());
+        assert!(found(&|k| 0.02 * noise(k), &|k| 50.0 + noise(k + 7)).is_empty());
+    }
+
+    #[test]
+    fn an_op_between_0_and_1_is_no_percentage() {
+        let range = [0.0, 100.0];
+        let around = |middle: f64, height: f64| -> Vec<f64> {
+            wave(500, 61.3).iter().map(|u| middle + height * (u - 50.0) / 3.0).collect()
+        };
+        assert!(is_fraction(&around(0.5, 0.06), range));
+        // The right range, a percentage, a valve that is shut, and one that rests.
+        assert!(!is_fraction(&around(0.5, 0.06), [0.0, 1.0]) && !is_fraction(&around(50.0, 0.06), range));
+        assert!(!is_fraction(&around(0.01, 0.01), range) && !is_fraction(&[0.5; 500], range));
+        let record = Record::uniform(1.0, around(0.5, 0.06), wave(500, 61.3));
+        let params = AssessParams { op_range: Some(range), ..AssessParams::default() };
+        assert_eq!(gates(&record, &STILL, &params), vec![Gate::OpScale]);
     }
 
     #[test]

@@ -1,14 +1,15 @@
 //! From evidence to a verdict and a grade: what the classifier says, and why that is sometimes not reported.
 
 use super::cause;
-use super::document::{Assessment, Gate, Implausible, Verdict};
+use super::document::{Assessment, CountedBy, Gate, Implausible, Oscillation, Verdict};
 use super::evidence::Answer;
 use super::features::Features;
 use super::params::AssessParams;
 use super::plausible::implausible;
-use super::rule::{Opinion, Rule};
+use super::rule::Rule;
 use crate::ident::region;
 use crate::record::Record;
+use crate::signal::stats;
 
 /// Reasons for no answer beside the gates and what is implausible in a record.
 const NOT_FITTED: &str = "not_fitted";
@@ -29,6 +30,9 @@ pub(super) struct Judgement {
     pub reason: Option<&'static str>,
     /// Why the model is not believed; empty where it is.
     pub implausible: Vec<Implausible>,
+    /// Reversals of the stem, and the rule by which the record holds enough evidence.
+    pub reversals: usize,
+    pub counted_by: Option<CountedBy>,
     /// The classifier finds no stiction, whether or not that is said: bands are bounded, not measured.
     pub not_found: bool,
 }
@@ -39,13 +43,16 @@ impl Judgement {
         let Answer { features, opinion, sized, .. } = answer;
         let implausible = implausible(sized.record, &whole.oscillation, sized.process().as_ref(), params.kind);
         let (called, contributing) = call(answer);
+        let of_the_stem = sized.estimate.as_ref().filter(|_| opinion.sticks()).map(|e| e.reversals);
+        let reversals = of_the_stem.unwrap_or_else(|| reversals_of_op(sized.record));
+        let counted_by = counted_by(&whole.oscillation, reversals, params);
         let objection = match called.stiction() {
             None => Some(NOT_FITTED),
-            Some(true) => too_thin(opinion, &whole.gates).or_else(|| unsupported(&implausible, features)),
+            Some(true) => unsupported(&implausible, counted_by, features),
             Some(false) => {
                 // Where no cycle shows, as many as a verdict wants are taken for granted.
                 let periods = whole.oscillation.periods.unwrap_or(params.min_periods);
-                is_op_held(sized.record, periods).then_some(OP_IS_HELD)
+                is_op_held(sized.record, periods).then_some(OP_IS_HELD).or_else(|| too_thin(counted_by))
             }
         };
         let (verdict, contributing) = match called {
@@ -54,7 +61,8 @@ impl Judgement {
             Verdict::Deadband if !implausible.is_empty() => (Verdict::Stiction, contributing),
             _ => (called, contributing),
         };
-        Self { verdict, contributing, reason: objection, implausible, not_found: called.stiction() == Some(false) }
+        let not_found = called.stiction() == Some(false);
+        Self { verdict, contributing, reason: objection, implausible, reversals, counted_by, not_found }
     }
 
     /// Probability of the answer that is given; `None` where none is.
@@ -85,19 +93,40 @@ fn call(answer: &Answer<'_>) -> (Verdict, Vec<Verdict>) {
     }
 }
 
-/// The check behind which sticking is said only as surely as an alarm would say it: the periods are too few, or sampled
-/// too coarsely to show a slip.
-fn too_thin(opinion: &Opinion, gates: &[Gate]) -> Option<&'static str> {
-    let thin = |gate: &&Gate| matches!(gate, Gate::TooCoarse | Gate::TooFewPeriods);
-    gates.iter().find(thin).filter(|_| !opinion.alarms()).map(|gate| gate.name())
+/// The rule by which a record with so many reversals of the stem holds enough evidence, for a verdict and for an alarm.
+#[must_use]
+pub(super) fn counted_by(found: &Oscillation, reversals: usize, params: &AssessParams) -> Option<CountedBy> {
+    let reaches = |value: Option<f64>, least: f64| value.is_some_and(|v| v >= least);
+    let periods = found.oscillating
+        && reaches(found.periods, params.min_periods)
+        && reaches(found.samples_per_period, params.min_samples_per_period);
+    match periods {
+        true => Some(CountedBy::Periods),
+        false => (reversals >= params.min_reversals).then_some(CountedBy::Reversals),
+    }
 }
 
-/// Why sticking is not said of a record whose model no plant has: the record shows no cycle of a valve, or the classifier
-/// finds no stiction without the model's say.
-fn unsupported(implausible: &[Implausible], features: &Features) -> Option<&'static str> {
+/// Reversals of a stem that follows OP.
+#[must_use]
+pub(super) fn reversals_of_op(record: &Record) -> usize {
+    stats::turns(&record.op_path, 0.0)
+}
+
+/// Why nothing is said of a record without enough evidence.
+fn too_thin(counted_by: Option<CountedBy>) -> Option<&'static str> {
+    counted_by.is_none().then_some(Gate::TooFewReversals.name())
+}
+
+/// Why sticking is not said: the record shows no cycle of a valve, or not enough of it, or its model is that of no plant and
+/// the classifier finds no stiction without the model's say.
+fn unsupported(
+    implausible: &[Implausible],
+    counted_by: Option<CountedBy>,
+    features: &Features,
+) -> Option<&'static str> {
     let of_the_record = implausible.iter().find(|i| i.is_of_the_record()).map(|i| i.name());
     let stands = || implausible.is_empty() || Rule::shipped().opinion(&features.without_fit()).sticks();
-    of_the_record.or_else(|| (!stands()).then_some(IMPLAUSIBLE_MODEL))
+    of_the_record.or_else(|| too_thin(counted_by)).or_else(|| (!stands()).then_some(IMPLAUSIBLE_MODEL))
 }
 
 /// Whether the store held OP through most of a cycle, so that what the valve was sent between is not known.
@@ -122,25 +151,42 @@ pub(super) fn grade(sticks: bool, confidence: Option<f64>, gated: bool, width: O
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::verdict::rule::Cuts;
 
     #[test]
-    fn sticking_behind_a_thin_record_needs_the_surety_of_an_alarm() {
-        let opinion = |logit: f64| Opinion { base: 0.0, logit, cuts: Cuts { called: 0.5, alarm: 0.7 } };
-        let gates = [Gate::TooCoarse, Gate::Irregular];
-        assert_eq!(too_thin(&opinion(0.1), &gates), Some("too_coarse"));
-        assert_eq!(too_thin(&opinion(3.0), &gates), None);
-        assert_eq!(too_thin(&opinion(0.1), &[Gate::Irregular]), None);
+    fn a_record_counts_by_its_periods_or_by_the_reversals_of_its_stem() {
+        let params = AssessParams { min_reversals: 6, ..AssessParams::default() };
+        let found = |oscillating, periods, density| Oscillation {
+            oscillating,
+            period_s: Some(60.0),
+            periods: Some(periods),
+            samples_per_period: Some(density),
+            regularity: None,
+        };
+        let cycles = found(true, 5.0, 50.0);
+        assert_eq!(counted_by(&cycles, 0, &params), Some(CountedBy::Periods));
+        for short in [found(true, 4.9, 50.0), found(true, 5.0, 49.0), found(false, 5.0, 50.0)] {
+            assert_eq!(counted_by(&short, 6, &params), Some(CountedBy::Reversals));
+            assert_eq!(counted_by(&short, 5, &params), None);
+        }
     }
 
     #[test]
     fn sticking_stands_without_its_model_only_where_indicators_carry_it() {
+        let why = |implausible: &[Implausible], features| unsupported(implausible, Some(CountedBy::Periods), features);
         let jumps = Features::of_scores(&[("jumps", 0.6), ("confirmed", 0.9)]);
-        assert_eq!(unsupported(&[Implausible::DeadTime], &jumps), None);
-        assert_eq!(unsupported(&[Implausible::DailyCycle], &jumps), Some("daily_cycle"));
+        assert_eq!(why(&[Implausible::DeadTime], &jumps), None);
         let fit = Features::of_scores(&[("jumps", 0.0), ("confirmed", 0.9)]);
-        assert_eq!(unsupported(&[Implausible::DeadTime], &fit), Some(IMPLAUSIBLE_MODEL));
-        assert_eq!(unsupported(&[], &fit), None);
+        assert_eq!(why(&[Implausible::DeadTime], &fit), Some(IMPLAUSIBLE_MODEL));
+        assert_eq!(why(&[], &fit), None);
+    }
+
+    #[test]
+    fn a_cycle_of_a_day_is_the_reason_whatever_else_is_missing() {
+        let jumps = Features::of_scores(&[("jumps", 0.6)]);
+        for counted_by in [None, Some(CountedBy::Reversals)] {
+            assert_eq!(unsupported(&[Implausible::DailyCycle], counted_by, &jumps), Some("daily_cycle"));
+        }
+        assert_eq!(unsupported(&[], None, &jumps), Some("too_few_reversals"));
     }
 
     #[test]

@@ -27,9 +27,10 @@ pub use crate::detect::Indicator;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
 pub use assess::{assess, assess_in_windows, figures, is_screened_out};
 pub use document::{
-    Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement, Oscillation,
+    Assessment, Controller, CountedBy, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement, Oscillation,
     Process, Search, Verdict, Window, reasons,
 };
+pub use gates::is_fraction;
 pub use params::AssessParams;
 pub use screen::{P_CALM, SCREENED};
 pub use valve_position::ValvePosition;

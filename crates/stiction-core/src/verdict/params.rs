@@ -11,13 +11,15 @@ pub struct AssessParams {
     pub min_periods: f64,
     /// Raw samples per period below which `too_coarse` applies.
     pub min_samples_per_period: f64,
+    /// Reversals of the stem from which a window holds enough evidence, whatever its periods.
+    pub min_reversals: usize,
     /// OP's range, for sizes in % of travel.
     pub op_range: Option<[f64; 2]>,
     /// Unit of OP, for the words.
     pub op_unit: Option<String>,
     /// Controlled quantity.
     pub kind: LoopKind,
-    /// Fit in any case, as `analyze` does; the daemon waits for `min_periods` or as many reversals.
+    /// Fit in any case, as `analyze` does; the daemon waits for `min_periods` or as many reversals of OP.
     pub always_fit: bool,
     /// Screen calm loops without a fit, unless `always_fit`: see `screened` among the reasons in documents.
     pub screening: bool,
@@ -30,6 +32,7 @@ impl Default for AssessParams {
         Self {
             min_periods: 5.0,
             min_samples_per_period: 50.0,
+            min_reversals: 1,
             op_range: None,
             op_unit: None,
             kind: LoopKind::Other,

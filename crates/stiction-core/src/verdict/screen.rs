@@ -73,7 +73,7 @@ fn may_oscillate(of: Option<Oscillates>) -> bool {
     of.is_some_and(|o| o.regularity > REGULAR && o.persistence > PERSISTENT)
 }
 
-/// The assessment of a screened window, of which `whole` holds oscillation and checks.
+/// The assessment of a screened window, of which `whole` holds oscillation, checks and evidence.
 pub(crate) fn answer(whole: Assessment) -> Assessment {
     let verdict = Verdict::NotOscillating;
     let confidence = Some(P_CALM.max(1.0 - P_CALM));

@@ -1,5 +1,6 @@
 //! Whether OP and PV stand under each other's names: by the set point where there is one, by the controller where there is none.
 
+use crate::detect::oscillation;
 use crate::ident::controller;
 use crate::record::Record;
 use crate::signal::stats;
@@ -8,6 +9,8 @@ use crate::signal::stats;
 /// swapped. None of 106 labelled recordings with a set point is taken for swapped; 75 of them are once OP and PV are exchanged.
 const NEAR_SET_POINT: f64 = 0.1;
 const FAR_FROM_SET_POINT: f64 = 2.0;
+/// Points in a period below which one signal leads the other as well as it follows it.
+const FEWEST_A_PERIOD: f64 = 10.0;
 /// Points in which a controller is looked for.
 pub const POINTS: usize = 3000;
 
@@ -24,6 +27,10 @@ pub(crate) fn by_set_point(record: &Record) -> bool {
 #[must_use]
 pub fn by_controller(record: &Record) -> bool {
     let given = Record { sp: None, ..record.part(0, POINTS) };
+    let period = oscillation::detect(&given.op(), &given.pv).filter(|o| o.oscillating);
+    if period.is_some_and(|o| o.period_points < FEWEST_A_PERIOD) {
+        return false;
+    }
     if controller::read(&given).is_some() {
         return false;
     }
@@ -62,6 +69,11 @@ mod tests {
         let op: Vec<f64> = pv.iter().map(pi).collect();
         assert!(by_controller(&Record::uniform(5.0, pv.clone(), op.clone())));
         assert!(!by_controller(&Record::uniform(5.0, op, pv.clone())));
-        assert!(!by_controller(&Record::uniform(5.0, vec![50.0; 600], pv)), "no controller either way");
+        assert!(!by_controller(&Record::uniform(5.0, vec![50.0; 600], pv.clone())), "no controller either way");
+        let thinned = |x: &[f64]| x.iter().step_by(12).copied().collect::<Vec<f64>>();
+        let sine: Vec<f64> = (0..6000).map(|k| libm::sin(k as f64 * 0.13)).collect();
+        let lagging: Vec<f64> = (0..6000).map(|k| libm::sin(k as f64 * 0.13 - 1.3)).collect();
+        let few = Record::uniform(60.0, thinned(&lagging), thinned(&sine));
+        assert!(!by_controller(&few), "four samples a period");
     }
 }

@@ -198,8 +198,6 @@ pub fn reason(name: &str) -> String {
         "daily_cycle" => "the cycle takes a day, as weather, shifts or load make it; it shows nothing of the valve",
         "trend" => "PV is little more than a straight line; there is no cycle to judge the valve by",
         "op_held" => "OP is stored too seldom within a cycle to show what the valve received",
-        "too_coarse" => "stiction is likely, but a period has too few samples to show how the stem moves",
-        "too_few_periods" => "stiction is likely, but there are too few periods to be sure",
         "not_fitted" => "no model could be fitted",
         "masked" => "the loop follows an oscillation that it shares with others, which hides the state of its valve",
         "screened" => "the loop is calm, so only the screening was computed",
@@ -363,17 +361,25 @@ pub const fn gate(g: Gate) -> &'static str {
         Gate::BadQuality => "too many values are missing or bad",
         Gate::FrozenPv => "PV never moves",
         Gate::FrozenOp => "OP never moves",
+        Gate::NoResponse => "PV does not answer OP: OP runs on while PV stays away from its set point",
+        Gate::OpScale => "OP lies between 0 and 1 while its range is far wider: it seems to be a fraction of its range",
         Gate::Swapped => "OP follows the set point and PV does not: they seem to be swapped",
         Gate::Saturated => "OP is at a limit",
         Gate::TooFewSamples => "there are too few usable samples, or fewer than two periods",
+        Gate::RateTooLow => "a period has fewer than 10 samples: the loop cannot be judged at this rate",
         Gate::Skipped => "the fit was skipped: the machine was too busy, or the daemon stopped",
         Gate::TooFewPeriods => "there are few periods, so intervals are wide",
         Gate::TooCoarse => "sampling is too coarse for reliable bands",
+        Gate::TooFewReversals => "neither the periods nor the reversals of the stem are enough for a verdict",
         Gate::SetpointSteps => "the set point moved in steps, which disturbs the oscillation test",
         Gate::Quantised => "the resolution of OP or PV is coarse",
         Gate::Compressed => "the historian compressed the data: corners of PV may be its own",
         Gate::Irregular => "the sampling time is not constant",
         Gate::Excursion => "a single event, such as a trip or a start-up, was left out of the fit",
+        Gate::StepOrUpset => {
+            "PV or OP leaves its usual values for a time; without SP a step cannot be told from an upset, so nothing was left \
+             out"
+        }
     }
 }
 

@@ -4,7 +4,7 @@ use stiction_core::record::Signal;
 use stiction_core::units::loop_name_from;
 
 /// Endings of tags, the strongest of each signal first.
-const ENDS: [(&str, Signal); 47] = [
+const ENDS: [(&str, Signal); 48] = [
     ("OP", Signal::Op),
     ("OUT", Signal::Op),
     ("CO", Signal::Op),
@@ -31,6 +31,8 @@ const ENDS: [(&str, Signal); 47] = [
     ("SET_POINT", Signal::Sp),
     ("SET POINT", Signal::Sp),
     ("SV", Signal::Sp),
+    // Foxboro's words are OUT, MEAS and SPT.
+    ("SPT", Signal::Sp),
     ("WSP", Signal::Sp),
     ("MODE", Signal::Mode),
     ("MODE.ACTUAL", Signal::Mode),
@@ -279,6 +281,7 @@ mod tests {
             ("41LIC7.PROCESS_VALUE", "41LIC7", Pv),
             ("41LIC7.ACTUAL", "41LIC7", Pv),
             ("41LIC7.SETPOINT", "41LIC7", Sp),
+            ("41LIC7.SPT", "41LIC7", Sp),
             ("41LIC7.ZT", "41LIC7", Mv),
             ("41LIC7 Positioner Feedback", "41LIC7", Mv),
             (r"\\PISRV01\41FIC101.PV", "41FIC101", Pv),

@@ -3,6 +3,7 @@
 mod bump_test;
 mod intervals;
 mod plants;
+mod reversals;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -28,6 +29,7 @@ use stiction_truth::{Half, verdict_case};
   stiction-lab calibrate --loops 2000 --features figures.jsonl
   stiction-lab calibrate --features figures.jsonl --labelled labelled/INDEX.csv --out rule.json
   stiction-lab calibrate --intervals 40 --out interval.json
+  stiction-lab calibrate --reversals 500 --labelled labelled/INDEX.csv
   stiction-lab calibrate --bump-test 200 --seed 7000")]
 pub struct Args {
     /// Simulated loops in each half: one to fit, one to report.
@@ -61,6 +63,10 @@ pub struct Args {
     /// again on a valve without friction, and prints how well the band is read.
     #[arg(long, value_name = "TESTS", conflicts_with_all = ["labelled", "features", "names", "intervals", "out"])]
     pub bump_test: Option<u64>,
+    /// Instead of the classifier, count how many of the loops called sticking do stick, by the reversals of the stem, where a
+    /// record has too few periods or too few samples in each; on this many loops of each half, and on labelled recordings.
+    #[arg(long, value_name = "LOOPS", conflicts_with_all = ["features", "names", "intervals", "bump_test", "plants", "out"])]
+    pub reversals: Option<u64>,
     /// Instead of the classifier, measure the judgement of loops that share an oscillation on this many easy and this many
     /// hard simulated plants; with --out, first fit its rules to as many other plants.
     #[arg(long, value_name = "PLANTS", conflicts_with_all = ["labelled", "features", "names", "intervals", "bump_test"])]
@@ -101,6 +107,9 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     if let Some(loops) = args.intervals {
         return intervals::run(loops, args.seed, args.out.as_deref(), format);
+    }
+    if let Some(loops) = args.reversals {
+        return reversals::run(loops, args.seed, args.labelled.as_deref(), format);
     }
     if let Some(tests) = args.bump_test {
         return bump_test::run(tests, args.seed, format);

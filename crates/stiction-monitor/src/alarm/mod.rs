@@ -23,7 +23,7 @@ use document::{Occurrence, event_id, occurrence_id};
 use stiction_core::units::format_rfc3339;
 use stiction_core::verdict::action::Action;
 use stiction_core::verdict::answer::Scale;
-use stiction_core::verdict::{Assessment, Gate, words};
+use stiction_core::verdict::{Assessment, words};
 
 /// Share of the limit below which s counts towards clearing.
 const CLEAR_SHARE: f64 = 0.8;
@@ -78,25 +78,32 @@ pub enum Evidence {
     Against,
     /// Stiction a little below the limit: neither raises nor clears.
     Between,
-    /// No information: the alarm does not change.
+    /// No information, or not enough of it: the alarm does not change.
     None,
 }
 
 impl Evidence {
-    /// From an assessment.
+    /// From an assessment. Only windows that count, by [`Assessment::counted_by`], raise or clear.
     #[must_use]
     pub fn of(assessment: &Assessment, params: &AlarmParams) -> Self {
         let limit = s_limit(assessment, params).unwrap_or(0.0);
         match (assessment.stiction, assessment.s) {
             (None, _) => Self::None,
-            (Some(true), _) if assessment.gates.contains(&Gate::TooCoarse) => Self::None,
-            // Called, but not surely enough to raise anything; or without a size that could be held against the limit.
-            (Some(true), _) if !is_sure(assessment) => Self::None,
-            (Some(true), None) => Self::None,
+            _ if assessment.counted_by.is_none() || no_alarm(assessment).is_some() => Self::None,
             (Some(true), Some(s)) if s >= limit => Self::For,
             (Some(true), Some(s)) if s >= CLEAR_SHARE * limit => Self::Between,
             _ => Self::Against,
         }
+    }
+}
+
+/// Why windows like this one, which finds stiction, raise no alarm whatever the limits are; `None` where they may.
+#[must_use]
+pub fn no_alarm(a: &Assessment) -> Option<&'static str> {
+    match (a.stiction?, a.s) {
+        (true, _) if !is_sure(a) => Some("no alarm: p is below the alarm threshold"),
+        (true, None) => Some("no alarm: the size is not known"),
+        _ => None,
     }
 }
 

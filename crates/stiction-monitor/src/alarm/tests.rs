@@ -5,7 +5,8 @@ use Priority::{High, Urgent};
 use proptest::prelude::*;
 use stiction_core::ident::region::Size;
 use stiction_core::units::Moment;
-use stiction_core::verdict::{Oscillation, Process, Verdict, Window};
+use stiction_core::verdict::rule::{Cuts, Opinion};
+use stiction_core::verdict::{CountedBy, Oscillation, Process, Verdict, Window};
 
 fn assessment(k: i64, verdict: Verdict, s: f64, severity_by_range: Size) -> Assessment {
     let (start_ns, end_ns) = (k * 10, (k + 1) * 10);
@@ -17,6 +18,7 @@ fn assessment(k: i64, verdict: Verdict, s: f64, severity_by_range: Size) -> Asse
     a.verdict = verdict;
     a.stiction = verdict.stiction();
     a.s = Some(s);
+    a.counted_by = Some(CountedBy::Periods);
     a.severity_by_range = Some(severity_by_range);
     a
 }
@@ -41,6 +43,29 @@ fn it_takes_m_of_n_windows_and_silence_holds() {
     assert!(run(&mut alarm, &[SILENT; 50]).is_empty());
     assert!(alarm.active);
     assert_eq!(run(&mut alarm, &[NO, NO, NO]), [State::RtnUnack]);
+}
+
+#[test]
+fn windows_that_do_not_count_neither_raise_nor_clear_and_those_that_do_may_take_turns() {
+    let params = AlarmParams { raise: [3, 4], s_limit_op: 1.0, s_limit_span: 0.0 };
+    let window = |k, verdict, counted_by| Assessment { counted_by, ..assessment(k, verdict, 2.0, Size::Weak) };
+    let mut alarm = Alarm::default();
+    let mut take = |k, verdict, counted_by| alarm.window("L", &window(k, verdict, counted_by), &params).map(|d| d.state);
+    assert!((0..9).all(|k| take(k, Verdict::Stiction, None).is_none()));
+    let rules = [CountedBy::Reversals, CountedBy::Periods, CountedBy::Reversals].map(Some);
+    assert_eq!(rules.map(|rule| take(10, Verdict::Stiction, rule)), [None, None, Some(State::Unack)]);
+    assert!((20..29).all(|k| take(k, Verdict::Tuning, None).is_none()));
+    assert_eq!(rules.map(|rule| take(30, Verdict::Tuning, rule)), [None, None, Some(State::RtnUnack)]);
+}
+
+#[test]
+fn a_window_that_cannot_raise_an_alarm_says_why() {
+    let found = assessment(0, Verdict::Stiction, 2.0, Size::Weak);
+    assert_eq!(no_alarm(&found), None);
+    assert!(no_alarm(&Assessment { s: None, ..found.clone() }).unwrap().contains("size"));
+    let explanation = Some(Opinion { base: 0.0, logit: 0.1, cuts: Cuts { called: 0.5, alarm: 0.7 } });
+    assert!(no_alarm(&Assessment { explanation, ..found.clone() }).unwrap().contains("threshold"));
+    assert_eq!(no_alarm(&assessment(0, Verdict::Inconclusive, 2.0, Size::Weak)), None);
 }
 
 #[test]

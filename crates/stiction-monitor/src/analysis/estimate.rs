@@ -12,6 +12,7 @@ use stiction_core::record::Record;
 use stiction_core::signal::stats;
 use stiction_core::verdict::{
     AssessParams, Assessment, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows,
+    is_fraction,
 };
 
 /// Fit of a given model in free run.
@@ -135,13 +136,8 @@ pub fn estimate(
     mut params: AssessParams,
 ) -> Result<Estimated, AnalysisError> {
     let (record, mut taken, notes) = cut.record(points, section, points.settings.window.max_points)?;
-    if let Some(range) = params.op_range.filter(|range| is_outside(&record.op_path, *range)) {
-        let ends = |of: fn(f64, f64) -> f64| record.op_path.iter().copied().fold(record.op_path[0], of);
-        return Err(AnalysisError::OutsideRange {
-            name: points.name.clone(),
-            op: [ends(f64::min), ends(f64::max)],
-            range,
-        });
+    if let Some(range) = params.op_range {
+        check_range(&points.name, &record.op_path, range)?;
     }
     params.always_fit = true;
     if let (DelayChoice::Samples(count), Some(left)) = (params.fit.delay, &taken.downsample) {
@@ -156,6 +152,19 @@ pub fn estimate(
     }
     let options = params.options(period_points);
     Ok(Estimated { record, taken, params, assessment, options, notes })
+}
+
+/// Whether the range can be that of OP.
+fn check_range(name: &str, op: &[f64], range: [f64; 2]) -> Result<(), AnalysisError> {
+    let ends = |of: fn(f64, f64) -> f64| op.iter().copied().reduce(of).unwrap_or_default();
+    let (name, ends) = (name.to_owned(), [ends(f64::min), ends(f64::max)]);
+    if is_outside(op, range) {
+        return Err(AnalysisError::OutsideRange { name, op: ends, range });
+    }
+    if is_fraction(op, range) {
+        return Err(AnalysisError::Fraction { name, op: ends, range });
+    }
+    Ok(())
 }
 
 /// Share of its width by which OP may go beyond its range, as controllers let it.
@@ -193,5 +202,19 @@ impl Estimated {
             solver,
             scored,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_op_that_is_a_fraction_of_its_range_is_refused_with_the_option() {
+        let op = |low: f64| (0..100).map(|k| low + 0.002 * f64::from(k % 50)).collect::<Vec<f64>>();
+        let refused = check_range("FIC101", &op(0.44), [0.0, 100.0]).unwrap_err().to_string();
+        assert!(refused.contains("OP runs from 0.44 to 0.538") && refused.contains("--op-range 0,1"), "{refused}");
+        assert_eq!(check_range("FIC101", &op(0.44), [0.0, 1.0]), Ok(()));
+        assert_eq!(check_range("FIC101", &op(44.0), [0.0, 100.0]), Ok(()));
     }
 }

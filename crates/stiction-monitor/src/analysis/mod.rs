@@ -59,6 +59,12 @@ pub enum AnalysisError {
         number(op[0]), number(op[1]), number(range[0]), number(range[1])
     )]
     OutsideRange { name: String, op: [f64; 2], range: [f64; 2] },
+    #[error(
+        "{name}: OP runs from {} to {}, a fraction of its range {} to {}; give the range as OP is recorded: --op-range 0,1, or \
+         op_range = [0, 1] in the configuration",
+        number(op[0]), number(op[1]), number(range[0]), number(range[1])
+    )]
+    Fraction { name: String, op: [f64; 2], range: [f64; 2] },
 }
 
 /// Where a loop has samples with both OP and PV.

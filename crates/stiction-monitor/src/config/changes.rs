@@ -254,6 +254,7 @@ mod tests {
         }
         for (new, key) in [
             ("min_periods = 8\n", "min_periods"),
+            ("min_reversals = 8\n", "min_reversals"),
             ("max_periods = 30\n", "max_periods"),
             ("min_samples_per_period = 9\n", "min_samples_per_period"),
             ("raise = [1, 1]\n", "raise"),

@@ -45,6 +45,7 @@ impl Config {
             assess: AssessParams {
                 min_periods: window.min_periods,
                 min_samples_per_period: window.min_samples_per_period,
+                min_reversals: window.min_reversals,
                 op_range: own.and_then(|l| l.op_range),
                 op_unit: own.and_then(|l| place_of(l).op_unit),
                 kind: own.and_then(|l| l.kind).and_then(LoopKind::from_name).unwrap_or(kind),

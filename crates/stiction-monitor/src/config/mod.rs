@@ -401,6 +401,7 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
         min_periods: r.number("min_periods", d.min_periods, 2.0, 1000.0),
         max_periods: r.number("max_periods", d.max_periods, 2.0, 10_000.0),
         min_samples_per_period: r.number("min_samples_per_period", d.min_samples_per_period, 4.0, 10_000.0),
+        min_reversals: r.integer("min_reversals", d.min_reversals as u64, 1, 10_000) as usize,
         hop_s: r.number("hop_s", d.hop_s, 0.001, year_s),
         max_window_s: r.number("max_window_s", d.max_window_s, 0.01, year_s),
         max_gap_s: r.number("max_gap_s", d.max_gap_s, 0.0, year_s),

@@ -21,6 +21,8 @@ pub struct WindowParams {
     pub max_periods: f64,
     /// Raw samples a period below which an estimate is called coarse.
     pub min_samples_per_period: f64,
+    /// Reversals of the stem from which a window counts, whatever its periods.
+    pub min_reversals: usize,
     /// Windows end at whole multiples of this.
     pub hop_s: f64,
     /// Longest window.
@@ -52,11 +54,12 @@ impl WindowParams {
 
 impl Default for WindowParams {
     fn default() -> Self {
-        let AssessParams { min_periods, min_samples_per_period, .. } = AssessParams::default();
+        let AssessParams { min_periods, min_samples_per_period, min_reversals, .. } = AssessParams::default();
         Self {
             min_periods,
             max_periods: 20.0,
             min_samples_per_period,
+            min_reversals,
             hop_s: 600.0,
             max_window_s: 604_800.0,
             max_gap_s: 0.0,

@@ -5,7 +5,7 @@ mod plant;
 
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::{AlarmDocument, State};
+use crate::alarm::{AlarmDocument, State, no_alarm};
 use stiction_core::verdict::answer::{Answer, Standing, settled};
 use stiction_core::verdict::{Assessment, Gate, Verdict, texts, words};
 
@@ -171,7 +171,7 @@ fn failure(known: &Known<'_>) -> Option<String> {
         return Some("no new data".to_owned());
     }
     let a = known.estimate?;
-    let failed = |gate: &&Gate| matches!(gate, Gate::FrozenPv | Gate::FrozenOp | Gate::Swapped | Gate::BadQuality);
+    let failed = |gate: &&Gate| matches!(gate, Gate::FrozenPv | Gate::FrozenOp | Gate::NoResponse | Gate::Swapped | Gate::BadQuality);
     let of_gate = a.gates.iter().find(failed).map(|gate| words::gate(*gate).to_owned());
     of_gate.or_else(|| a.reason.filter(|reason| *reason == "stuck_signal").map(words::reason))
 }
@@ -216,11 +216,10 @@ fn after_failure(failure: &str, silent: bool, newest: Option<(Option<Sign>, Stri
 /// The sentence without an alarm: a valve that sticks has none yet, or never can.
 fn without_alarm(known: &Known<'_>, sentence: String) -> String {
     let found = known.estimate.is_some_and(|a| Standing::of(a).is_found());
-    let no_alarm = match known.estimate {
-        Some(a) if found && a.gates.contains(&Gate::TooCoarse) => "; no alarm: sampled too slowly",
-        Some(_) if found => "; no alarm yet",
-        _ => "",
-    };
+    let no_alarm = known.estimate.filter(|_| found).map_or_else(String::new, |a| {
+        let why = no_alarm(a).unwrap_or("no alarm yet");
+        format!("; {why}")
+    });
     let since = if known.restored { "no window since the start; the last one: " } else { "" };
     format!("{since}{sentence}{no_alarm}")
 }

@@ -133,13 +133,14 @@ pub struct Since {
 fn limit_of(a: &Assessment) -> Option<Limit> {
     let met = |gate: Gate| a.gates.contains(&gate);
     let (kind, name) = match a.reason.filter(|_| a.stiction.is_none()) {
-        Some(name @ ("frozen_pv" | "frozen_op" | "stuck_signal")) => (ObstacleKind::Frozen, name),
+        Some(name @ ("frozen_pv" | "frozen_op" | "stuck_signal" | "no_response")) => (ObstacleKind::Frozen, name),
         Some(name @ "swapped") => (ObstacleKind::Swapped, name),
         Some(name @ "saturated") => (ObstacleKind::AtLimit, name),
         Some(name @ "manual") => (ObstacleKind::Manual, name),
+        Some(name @ "rate_too_low") => (ObstacleKind::TooSlow, name),
         Some(name @ "op_held") => (ObstacleKind::Compressed, name),
         // Where nothing oscillates, the period is that of the noise.
-        None | Some("too_coarse" | "implausible_model" | "not_fitted")
+        None | Some("too_coarse" | "too_few_reversals" | "implausible_model" | "not_fitted")
             if met(Gate::TooCoarse) && a.verdict != Verdict::NotOscillating =>
         {
             (ObstacleKind::TooSlow, Gate::TooCoarse.name())
@@ -150,7 +151,7 @@ fn limit_of(a: &Assessment) -> Option<Limit> {
         Some(name) => (ObstacleKind::Other, name),
         None => return None,
     };
-    Some(Limit { kind, blocks: a.stiction.is_none() || kind == ObstacleKind::TooSlow, name })
+    Some(Limit { kind, blocks: a.stiction.is_none(), name })
 }
 
 /// What to do about it, with the figures of the estimate.
@@ -228,11 +229,7 @@ impl Entry {
             return Some(beginning(found, Some(since_ns)));
         }
         let limit = limit?;
-        let words = match limit.kind {
-            // The estimate's reason may be another one.
-            ObstacleKind::TooSlow => words::gate(Gate::TooCoarse).to_owned(),
-            _ => words::reason(limit.name),
-        };
+        let words = words::reason(limit.name);
         let usual = AssessParams::default().min_samples_per_period;
         let needed = expected.map_or(usual, |expected| expected.samples_per_period(name));
         let found = Obstacle { blocks: limit.blocks, ..of(limit.kind, &words, remedy(limit, a, needed)) };

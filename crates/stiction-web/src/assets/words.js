@@ -72,17 +72,22 @@ const GATES = {
   bad_quality: "bad quality",
   frozen_pv: "PV frozen",
   frozen_op: "OP frozen",
+  no_response: "PV does not answer OP",
+  op_scale: "OP looks like a fraction",
   swapped: "OP and PV swapped",
   saturated: "OP at a limit",
   too_few_samples: "too few samples",
+  rate_too_low: "sampled too slowly to judge",
   skipped: "fit skipped",
   too_few_periods: "too few periods",
   too_coarse: "sampled too coarsely",
+  too_few_reversals: "too few reversals of the stem",
   setpoint_steps: "set point moved",
   quantised: "coarse resolution",
   compressed: "compressed history",
   irregular: "uneven sampling",
   excursion: "a single event left out",
+  step_or_upset: "a step or an upset, kept",
 };
 
 /** A name with underscores as words; what is not known is shown as it is. */
