@@ -263,33 +263,8 @@ impl Overview {
         });
     }
 
-    /// What an earlier run knew of a loop last: its newest estimate is shown as an old one until a window of this run has
-    /// come, and a loop that has sent nothing for too long by `now_ns` is silent from the start.
-    pub fn restore(
-        &self,
-        name: &Arc<str>,
-        place: &LoopContext,
-        (now, now_ns): (Instant, i64),
-        document: Arc<EstimateDocument>,
-        newest_ns: Option<i64>,
-    ) {
-        let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
-        loops.change(name, place, now, |entry| {
-            if entry.estimate.is_some() {
-                return;
-            }
-            entry.estimate = Some(document);
-            entry.restored = true;
-            entry.newest_ns = entry.newest_ns.max(newest_ns);
-            let age_s = entry.newest_ns.map(|ns| s_from_ns(now_ns.saturating_sub(ns)).max(0.0));
-            let age = age_s.and_then(|age| Duration::try_from_secs_f64(age).ok()).unwrap_or_default();
-            entry.advanced = now.checked_sub(age).unwrap_or(now);
-            // The machine may have started after the newest sample: no moment of its clock is that old.
-            entry.silent = age > entry.patience();
-        });
-    }
-
-    /// What an earlier run heard of a loop last: the moment and stamp of its newest sample, and its newest answer.
+    /// What an earlier run heard of a loop last: the moment and stamp of its newest sample, and its newest answer, which is
+    /// shown as an old one until a window of this run has come.
     pub fn restore(
         &self,
         name: &Arc<str>,
@@ -302,6 +277,7 @@ impl Overview {
             if let Some(document) = document {
                 entry.recent.push_back(Recent::of(&document));
                 entry.estimate = Some(document);
+                entry.restored = true;
             }
         });
     }

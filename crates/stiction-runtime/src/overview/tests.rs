@@ -153,8 +153,15 @@ fn a_restart_shows_the_newest_recorded_answer_as_an_old_one_and_a_silent_loop_st
     let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let of = |name: &str| estimate(name, 1_000_000_000, Some(2.0), Verdict::Stiction);
     let now_ns = 7_200_000_000_000;
-    overview.restore(&"A".into(), &place, (now, now_ns), of("A"), Some(1_000_000_000));
-    overview.restore(&"B".into(), &place, (now, now_ns), of("B"), Some(now_ns - 1_000_000_000));
+    let restore = |name: &str, age_s: u64| {
+        let newest_ns = now_ns - 1_000_000_000 * age_s as i64;
+        let heard = now.checked_sub(Duration::from_secs(age_s)).unwrap();
+        overview.restore(&name.into(), &place, (heard, Some(newest_ns)), Some(of(name)));
+        // The stream of the earlier run brings no newer sample.
+        overview.figures(&name.into(), &place, now, &figures(newest_ns));
+    };
+    restore("A", 7_100);
+    restore("B", 1);
     let told = |name: &str| {
         let row = overview.row(name, now_ns).unwrap();
         (row.ne107, row.silent, row.stale, row.size.is_some())
@@ -162,10 +169,7 @@ fn a_restart_shows_the_newest_recorded_answer_as_an_old_one_and_a_silent_loop_st
     assert_eq!(told("A"), (Some(Sign::Failure), true, true, true));
     assert_eq!(told("B"), (Some(Sign::OutOfSpecification), false, true, true));
     assert_eq!(overview.data_health(now_ns).silent_loops, 1);
-    // The stream of the earlier run brings no newer sample.
-    overview.figures(&"A".into(), &place, now, &figures(1_000_000_000));
-    assert!(overview.row("A", now_ns).unwrap().silent);
-    overview.figures(&"A".into(), &place, now, &figures(2_000_000_000));
+    overview.figures(&"A".into(), &place, now, &figures(now_ns));
     assert_eq!(told("A"), (Some(Sign::OutOfSpecification), false, true, true));
     overview.estimate(&"A".into(), &place, now, of("A"));
     assert!(!overview.row("A", now_ns).unwrap().stale);
