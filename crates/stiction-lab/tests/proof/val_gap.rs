@@ -59,7 +59,7 @@ fn no_headline_on_any_recording_closes_less_than_a_tenth_of_the_gap() {
         // A record without a base is refused with its reason.
         let Ok(diagnosis) = diagnose(&item.record, &options, &Serial) else { continue };
         diagnosed += 1;
-        let document = GapDocument::new(&item.file, &item.record, &options, &diagnosis, None);
+        let document = GapDocument::new(&item.file, &item.record, &options, &diagnosis);
         wrong.extend(faults(&document).into_iter().map(|what| format!("{}: {what}", item.file)));
     }
     assert!(diagnosed >= 50, "{diagnosed} of {} recordings were diagnosed", all.len());
