@@ -79,7 +79,6 @@ fn the_most_urgent_loop_comes_first() {
         a.stiction = Some(p > 0.5);
     }
     assert_eq!(r.by_urgency(), [3, 2, 0, 1]);
-    assert_eq!(r.loops[3].percent(), Some(10.0));
     let html = page(&r).unwrap();
     assert!(
         html.contains("stiction found in <b>2</b>") && html.find("#loop-3").unwrap() < html.find("#loop-2").unwrap()
