@@ -132,7 +132,9 @@ pub fn better_data(reason: &str) -> &'static str {
     match reason {
         "manual" => "choose a section in which the controller is in automatic, or record one",
         "bad_quality" => "find out why values are missing or bad, and record again",
-        "frozen_pv" | "stuck_signal" | "no_response" => "check the transmitter, the block valves and the valve itself first",
+        "frozen_pv" | "stuck_signal" | "no_response" => {
+            "check the transmitter, the block valves and the valve itself first"
+        }
         "frozen_op" => "record a time in which the controller moves OP",
         "op_scale" => "give OP's range as OP is recorded: --op-range 0,1, or op_range = [0, 1] in the configuration",
         "swapped" => "exchange the keys or columns of OP and PV",

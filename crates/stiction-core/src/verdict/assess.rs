@@ -241,7 +241,8 @@ mod tests {
             30.0 + 0.7 * (50.0 - p) + integral
         };
         let op: Vec<f64> = pv.iter().map(pi).collect();
-        let found = assess(&Record::uniform(5.0, pv, op), &AssessParams { always_fit: true, ..AssessParams::default() });
+        let found =
+            assess(&Record::uniform(5.0, pv, op), &AssessParams { always_fit: true, ..AssessParams::default() });
         assert_eq!((found.reason, found.p_stiction), (Some("swapped"), None));
         assert!(found.gates.contains(&Gate::Swapped));
     }

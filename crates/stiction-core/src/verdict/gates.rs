@@ -41,7 +41,7 @@ const IRREGULAR: f64 = 0.1;
 #[must_use]
 pub(crate) fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) -> Vec<Gate> {
     if record.len() < MIN_SAMPLES {
-        // So few show nothing else.
+        // Of so few nobody can tell whether they stand still, or anything else.
         return vec![Gate::TooFewSamples];
     }
     let op = record.op();
@@ -49,20 +49,18 @@ pub(crate) fn gates(record: &Record, oscillation: &Oscillation, params: &AssessP
     let facts = &record.facts;
     let density = oscillation.samples_per_period;
     let periods = oscillation.periods;
-    // Of a few samples nobody can tell whether they stand still.
-    let is_short = record.len() < MIN_SAMPLES;
     let quantised = is_coarse(&record.op_path) || is_coarse(&record.pv);
     let met = |gate: Gate| match gate {
         Gate::Manual => f64::from(facts.manual) > MANUAL_SHARE * raw,
         Gate::BadQuality => f64::from(facts.bad) + f64::from(facts.filled) > BAD_SHARE * raw,
-        Gate::FrozenPv => !is_short && is_frozen(&record.pv, f64::from(facts.pv_repeats) / raw),
-        Gate::FrozenOp => !is_short && is_frozen(&record.op_path, f64::from(facts.op_repeats) / raw),
+        Gate::FrozenPv => is_frozen(&record.pv, f64::from(facts.pv_repeats) / raw),
+        Gate::FrozenOp => is_frozen(&record.op_path, f64::from(facts.op_repeats) / raw),
         Gate::NoResponse => has_no_response(record, &op),
         Gate::OpScale => params.op_range.is_some_and(|range| is_fraction(&record.op_path, range)),
         // By the controller only where a fit is worth it, which takes as long.
         Gate::Swapped => swapped::by_set_point(record),
         Gate::Saturated => is_saturated(&op, params.op_range),
-        Gate::TooFewSamples => is_short || periods.is_some_and(|p| p < 2.0),
+        Gate::TooFewSamples => periods.is_some_and(|p| p < 2.0),
         Gate::RateTooLow => oscillation.oscillating && density.is_some_and(|n| n < FEWEST_A_PERIOD),
         Gate::Skipped => false,
         Gate::TooFewPeriods => periods.is_some_and(|p| p < params.min_periods),
@@ -250,7 +248,11 @@ mod tests {
         let noise = |k: usize| libm::sin(k as f64 * k as f64 * 0.7);
         let found = |pv: &dyn Fn(usize) -> f64, op: &dyn Fn(usize) -> f64| {
             let [op, pv] = [op, pv].map(|of| (0..500).map(of).collect::<Vec<f64>>());
-            gates(&Record { sp: Some(vec![2.5; 500]), ..Record::uniform(1.0, op, pv) }, &STILL, &AssessParams::default())
+            gates(
+                &Record { sp: Some(vec![2.5; 500]), ..Record::uniform(1.0, op, pv) },
+                &STILL,
+                &AssessParams::default(),
+            )
         };
         let ramp = |k: usize| 5.0 + 0.1 * k as f64;
         assert_eq!(found(&|k| 0.02 * noise(k), &ramp), vec![Gate::NoResponse]);

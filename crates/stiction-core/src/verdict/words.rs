@@ -363,7 +363,7 @@ pub const fn gate(g: Gate) -> &'static str {
         Gate::FrozenOp => "OP never moves",
         Gate::NoResponse => "PV does not answer OP: OP runs on while PV stays away from its set point",
         Gate::OpScale => "OP lies between 0 and 1 while its range is far wider: it seems to be a fraction of its range",
-        Gate::Swapped => "OP follows the set point and PV does not: they seem to be swapped",
+        Gate::Swapped => "OP and PV seem to be swapped: the one named OP behaves as a PV does, and the other as an OP",
         Gate::Saturated => "OP is at a limit",
         Gate::TooFewSamples => "there are too few usable samples, or fewer than two periods",
         Gate::RateTooLow => "a period has fewer than 10 samples: the loop cannot be judged at this rate",

@@ -101,8 +101,8 @@ impl Evidence {
 #[must_use]
 pub fn no_alarm(a: &Assessment) -> Option<&'static str> {
     match (a.stiction?, a.s) {
-        (true, _) if !is_sure(a) => Some("no alarm: p is below the alarm threshold"),
-        (true, None) => Some("no alarm: the size is not known"),
+        (true, _) if !is_sure(a) => Some("p is below the alarm threshold"),
+        (true, None) => Some("the size is not known"),
         _ => None,
     }
 }

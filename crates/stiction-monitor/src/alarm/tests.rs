@@ -50,7 +50,8 @@ fn windows_that_do_not_count_neither_raise_nor_clear_and_those_that_do_may_take_
     let params = AlarmParams { raise: [3, 4], s_limit_op: 1.0, s_limit_span: 0.0 };
     let window = |k, verdict, counted_by| Assessment { counted_by, ..assessment(k, verdict, 2.0, Size::Weak) };
     let mut alarm = Alarm::default();
-    let mut take = |k, verdict, counted_by| alarm.window("L", &window(k, verdict, counted_by), &params).map(|d| d.state);
+    let mut take =
+        |k, verdict, counted_by| alarm.window("L", &window(k, verdict, counted_by), &params).map(|d| d.state);
     assert!((0..9).all(|k| take(k, Verdict::Stiction, None).is_none()));
     let rules = [CountedBy::Reversals, CountedBy::Periods, CountedBy::Reversals].map(Some);
     assert_eq!(rules.map(|rule| take(10, Verdict::Stiction, rule)), [None, None, Some(State::Unack)]);
@@ -198,7 +199,11 @@ fn the_limit_fits_loops_of_every_size() {
     // A tenth of a quiet loop's span is less than a new valve may have.
     assert!(!alarms(0.3, 1.9, &default));
     let of_travel = |s: f64| {
-        let a = Assessment { s_over_span: Some(0.5), op_range: Some([0.0, 1.0]), ..assessment(0, Verdict::Stiction, s, Size::Weak) };
+        let a = Assessment {
+            s_over_span: Some(0.5),
+            op_range: Some([0.0, 1.0]),
+            ..assessment(0, Verdict::Stiction, s, Size::Weak)
+        };
         Evidence::of(&a, &default)
     };
     assert_eq!((of_travel(0.006), of_travel(0.003)), (Evidence::For, Evidence::Against));

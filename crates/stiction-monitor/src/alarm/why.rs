@@ -1,6 +1,6 @@
 //! Why an alarm is not active, in words: what the newest windows of its loop counted for.
 
-use super::{AlarmParams, Evidence, s_limit};
+use super::{AlarmParams, Evidence, no_alarm, s_limit};
 use stiction_core::people::size;
 use stiction_core::verdict::{Assessment, words};
 
@@ -39,10 +39,6 @@ fn why_not(a: &Assessment, params: &AlarmParams) -> Option<String> {
             Some(format!("s {} is below the limit of {} OP units", size(s), size(limit)))
         }
         (Evidence::None, None) => Some(a.reason.map_or_else(|| "no answer".to_owned(), words::reason)),
-        (Evidence::None, Some(true)) => Some(match a.gates.first() {
-            Some(gate) => words::gate(*gate).to_owned(),
-            None if a.s.is_none() => "the size is not known".to_owned(),
-            None => "p is below the alarm threshold".to_owned(),
-        }),
+        (Evidence::None, Some(true)) => Some(no_alarm(a).unwrap_or("the window does not count").to_owned()),
     }
 }

@@ -11,8 +11,7 @@ use stiction_core::ident::Options;
 use stiction_core::record::Record;
 use stiction_core::signal::stats;
 use stiction_core::verdict::{
-    AssessParams, Assessment, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows,
-    is_fraction,
+    AssessParams, Assessment, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows, is_fraction,
 };
 
 /// Fit of a given model in free run.

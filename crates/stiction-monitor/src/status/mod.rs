@@ -217,8 +217,7 @@ fn after_failure(failure: &str, silent: bool, newest: Option<(Option<Sign>, Stri
 fn without_alarm(known: &Known<'_>, sentence: String) -> String {
     let found = known.estimate.is_some_and(|a| Standing::of(a).is_found());
     let no_alarm = known.estimate.filter(|_| found).map_or_else(String::new, |a| {
-        let why = no_alarm(a).unwrap_or("no alarm yet");
-        format!("; {why}")
+        no_alarm(a).map_or_else(|| "; no alarm yet".to_owned(), |why| format!("; no alarm: {why}"))
     });
     let since = if known.restored { "no window since the start; the last one: " } else { "" };
     format!("{since}{sentence}{no_alarm}")

@@ -5,7 +5,7 @@ use crate::alarm::{Alarm, AlarmParams, Command};
 use proptest::prelude::*;
 use stiction_core::ident::region::Size;
 use stiction_core::units::Moment;
-use stiction_core::verdict::{Oscillation, Window};
+use stiction_core::verdict::{CountedBy, Oscillation, Window};
 
 fn window(k: usize, (verdict, p, gates, reason): (Verdict, f64, Vec<Gate>, Option<&'static str>)) -> Assessment {
     let end_ns = 10 * (k as i64 + 1);
@@ -20,6 +20,7 @@ fn window(k: usize, (verdict, p, gates, reason): (Verdict, f64, Vec<Gate>, Optio
         p_stiction: Some(p),
         grade: Some('C'),
         s: Some(2.0),
+        counted_by: Some(CountedBy::Periods),
         strength_by_span: Some(Size::Moderate),
         gates,
         reason,
