@@ -225,7 +225,9 @@ impl Reviews {
         }
         let index = self.index();
         self.add_columns()?;
-        let line = lines_of([review.clone()], !index.exists())?;
+        // One from which all old reviews were removed has no head either.
+        let is_empty = fs::metadata(&index).map_or(true, |meta| meta.len() == 0);
+        let line = lines_of([review.clone()], is_empty)?;
         let mut file = OpenOptions::new().create(true).append(true).open(index)?;
         file.write_all(&line)?;
         file.sync_all()?;
