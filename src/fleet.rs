@@ -65,8 +65,9 @@ impl Summary {
         let size = self.rows.iter().map(|r| r.s.chars().count()).max().unwrap_or(1).max(8);
         let head = ("loop", "verdict", "stiction", "s (90 %)", "period", "grade", "window ends");
         let (name, verdict, seen, s, period, grade, end) = head;
-        let mut lines =
-            vec![format!("{name:width$}  {verdict:14}  {seen:17}  {s:>size$}  {period:>9}  {grade:5}  {end:20}  gates")];
+        let mut lines = vec![format!(
+            "{name:width$}  {verdict:14}  {seen:17}  {s:>size$}  {period:>9}  {grade:5}  {end:20}  gates"
+        )];
         for r in &self.rows {
             let name: String = r.name.chars().take(width).collect();
             let line = format!(

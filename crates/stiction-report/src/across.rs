@@ -228,6 +228,9 @@ mod tests {
         assert_eq!(across.title([0.0, 1_200.0]), "time from the section's start, s");
         let days = [0.0, 432_000.0];
         let said: Vec<String> = across.ticks(days, 400).iter().map(|t| across.tick(*t, days)).collect();
-        assert_eq!((said.join(" ").as_str(), across.title(days).as_str()), ("0 1 2 3 4 5", "time from the section's start, d"));
+        assert_eq!(
+            (said.join(" ").as_str(), across.title(days).as_str()),
+            ("0 1 2 3 4 5", "time from the section's start, d")
+        );
     }
 }

@@ -9,8 +9,8 @@ use serde::Serialize;
 use stiction_core::repair::Repair;
 use stiction_core::units::{ms_from_ns, probability};
 use stiction_core::verdict::action::{Action, Confirm, what_to_do};
-use stiction_core::verdict::{Assessment, answer, words};
 use stiction_core::verdict::words::capital;
+use stiction_core::verdict::{Assessment, answer, words};
 use stiction_monitor::alarm::Priority;
 
 use super::overview::Candidate;

@@ -258,7 +258,8 @@ impl Group<'_> {
             p_source: place.map_or(0.0, |place| decision.p_source[place]),
             p_alone,
             p_stiction,
-            cause: twin.map_or_else(|| (!is_source).then(|| words::cause(source)).flatten(), |twin| Some(words::twice(twin))),
+            cause: twin
+                .map_or_else(|| (!is_source).then(|| words::cause(source)).flatten(), |twin| Some(words::twice(twin))),
             masked: !is_source && twin.is_none() && (lowered || !called),
         }
     }

@@ -40,7 +40,8 @@ mod tests {
         let one = Record::uniform(1.0, wave(0.0), wave(8.0));
         let cut = |from: usize, to: usize| one.part(from, to);
         assert!(is_same(&one, &one) && is_same(&cut(0, 500), &cut(50, 600)) && is_same(&cut(50, 600), &cut(0, 500)));
-        let noisy = Record { pv: one.pv.iter().enumerate().map(|(k, y)| y + 1e-3 * (k % 7) as f64).collect(), ..one.clone() };
+        let noisy =
+            Record { pv: one.pv.iter().enumerate().map(|(k, y)| y + 1e-3 * (k % 7) as f64).collect(), ..one.clone() };
         assert!(!is_same(&one, &noisy));
         let other_op = Record::uniform(1.0, wave(1.0), wave(8.0));
         assert!(!is_same(&one, &other_op) && !is_same(&cut(0, 20), &cut(0, 20)));

@@ -136,7 +136,9 @@ pub fn headline(group: &GroupDocument) -> String {
         }
         (SourceKind::Loop, Some(name)) => format!("{name} makes the oscillation (p {p})"),
         (SourceKind::Outside, _) => {
-            format!("none of these loops makes the oscillation (p {p}): look upstream for a common load or a loop that is not recorded")
+            format!(
+                "none of these loops makes the oscillation (p {p}): look upstream for a common load or a loop that is not recorded"
+            )
         }
         (SourceKind::Several, _) => format!("more than one of these loops may make the oscillation{likeliest}"),
         (SourceKind::Loop | SourceKind::CannotTell, _) => {

@@ -150,8 +150,7 @@ pub fn size(a: &Assessment) -> Option<String> {
 pub fn settled(newest_first: impl IntoIterator<Item = Verdict>) -> Option<(Verdict, usize, usize)> {
     /// Verdicts that are looked at.
     const MOST: usize = 9;
-    let last: Vec<Verdict> =
-        newest_first.into_iter().filter(|v| v.stiction() == Some(false)).take(MOST).collect();
+    let last: Vec<Verdict> = newest_first.into_iter().filter(|v| v.stiction() == Some(false)).take(MOST).collect();
     let count = |named: &dyn Fn(Verdict) -> bool| last.iter().filter(|v| named(**v)).count();
     let more_than_half = |n: usize| 2 * n > last.len();
     let named = [Verdict::NotOscillating, Verdict::Tuning, Verdict::Disturbance, Verdict::CauseUnknown]
@@ -246,7 +245,7 @@ mod tests {
 
     #[test]
     fn a_cause_is_shown_that_more_than_half_of_the_windows_name() {
-        use Verdict::{Disturbance, Inconclusive, NotOscillating, CauseUnknown, Stiction, Tuning};
+        use Verdict::{CauseUnknown, Disturbance, Inconclusive, NotOscillating, Stiction, Tuning};
         assert_eq!(settled([Inconclusive, Stiction]), None);
         assert_eq!(settled([Disturbance, Stiction, Inconclusive, Tuning, Tuning]), Some((Tuning, 2, 3)));
         assert_eq!(settled([Disturbance, Tuning, CauseUnknown, Tuning, Disturbance]), Some((CauseUnknown, 5, 5)));

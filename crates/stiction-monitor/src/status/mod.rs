@@ -126,7 +126,10 @@ impl LoopStatus {
             (None, None, None) => (None, "waiting for a window".to_owned()),
             (None, None, Some((sign, sentence))) => (sign, without_alarm(known, sentence)),
         };
-        let answer = known.estimate.zip(shown.as_ref()).map(|(a, shown)| Answer { sentence: shown.sentence.clone(), ..Answer::of(a) });
+        let answer = known
+            .estimate
+            .zip(shown.as_ref())
+            .map(|(a, shown)| Answer { sentence: shown.sentence.clone(), ..Answer::of(a) });
         Self {
             sign,
             sentence,
@@ -158,9 +161,10 @@ struct Shown {
 fn shown(a: &Assessment, verdicts: &[Verdict]) -> Shown {
     let settled = settled(verdicts.iter().copied()).filter(|_| a.stiction == Some(false));
     match settled {
-        Some((cause, count, of)) if cause != a.verdict => {
-            Shown { verdict: cause, sentence: format!("{} ({count} of the last {of} windows)", words::beside_cause(a, cause)) }
-        }
+        Some((cause, count, of)) if cause != a.verdict => Shown {
+            verdict: cause,
+            sentence: format!("{} ({count} of the last {of} windows)", words::beside_cause(a, cause)),
+        },
         _ => Shown { verdict: a.verdict, sentence: words::claim(a) },
     }
 }
@@ -171,7 +175,9 @@ fn failure(known: &Known<'_>) -> Option<String> {
         return Some("no new data".to_owned());
     }
     let a = known.estimate?;
-    let failed = |gate: &&Gate| matches!(gate, Gate::FrozenPv | Gate::FrozenOp | Gate::NoResponse | Gate::Swapped | Gate::BadQuality);
+    let failed = |gate: &&Gate| {
+        matches!(gate, Gate::FrozenPv | Gate::FrozenOp | Gate::NoResponse | Gate::Swapped | Gate::BadQuality)
+    };
     let of_gate = a.gates.iter().find(failed).map(|gate| words::gate(*gate).to_owned());
     of_gate.or_else(|| a.reason.filter(|reason| *reason == "stuck_signal").map(words::reason))
 }

@@ -165,7 +165,10 @@ impl Counts {
             (1, Some(name)) => format!("1 of {valves} needs maintenance: {name}."),
             (n, Some(name)) => format!("{n} of {valves} need maintenance; {name} first."),
             _ if self.unanswered + self.missing == self.all => {
-                format!("No answer yet: {} still collecting a first window.", count(self.unanswered, "loop is", "loops are"))
+                format!(
+                    "No answer yet: {} still collecting a first window.",
+                    count(self.unanswered, "loop is", "loops are")
+                )
             }
             _ if self.all == 1 => format!("No stiction alarm for {only}."),
             _ => format!("No stiction alarm in {valves}."),

@@ -107,12 +107,19 @@ impl Held {
 fn check(held: &Held) -> Result<LoopStatus, TestCaseError> {
     let status = LoopStatus::of(&held.known());
     let of_alarm = held.document.as_ref().and_then(|d| Sign::of_alarm(d.active, d.state == State::OutOfService));
-    prop_assert_eq!(of_alarm.is_some(), matches!(status.sign, Some(Sign::Maintenance)) || of_alarm == Some(Sign::FunctionCheck));
+    prop_assert_eq!(
+        of_alarm.is_some(),
+        matches!(status.sign, Some(Sign::Maintenance)) || of_alarm == Some(Sign::FunctionCheck)
+    );
     prop_assert_eq!(of_alarm.unwrap_or(Sign::NothingFound).id(), held.document.as_ref().map_or("none", |d| d.ne107));
     // An active alarm is never hidden: not behind a failed signal, not behind a window that finds nothing.
     let serviced = held.document.as_ref().is_some_and(|d| d.state != State::OutOfService);
     prop_assert_eq!(status.sign == Some(Sign::Maintenance), status.active && serviced);
-    prop_assert!(!held.silent || status.failed && status.sentence.contains("no new data") || !serviced && held.document.is_some());
+    prop_assert!(
+        !held.silent
+            || status.failed && status.sentence.contains("no new data")
+            || !serviced && held.document.is_some()
+    );
     // A silent loop, and one that was restored, shows its newest answer greyed.
     prop_assert_eq!(status.stale, held.estimate.is_some() && (held.silent || held.restored));
     prop_assert_eq!(status.answer.is_some(), held.estimate.is_some());
@@ -122,7 +129,11 @@ fn check(held: &Held) -> Result<LoopStatus, TestCaseError> {
         prop_assert_eq!(status.verdict.and_then(Verdict::stiction) == Some(true), found);
     }
     let sentence = &status.sentence;
-    prop_assert!(!sentence.contains("the valve sticks and") && !sentence.contains("dead band") || found, "{}", sentence);
+    prop_assert!(
+        !sentence.contains("the valve sticks and") && !sentence.contains("dead band") || found,
+        "{}",
+        sentence
+    );
     prop_assert!(!(sentence.contains("no sign of stiction") && sentence.contains("is open")), "{}", sentence);
     if status.sign == Some(Sign::NothingFound) {
         prop_assert_eq!((status.verdict, status.standing()), (Some(Verdict::NotOscillating), Standing::NotSeen));
