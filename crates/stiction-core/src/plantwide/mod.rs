@@ -302,13 +302,24 @@ mod tests {
         };
         let mut phase = 0.0;
         let (mut op, mut pv) = (Vec::new(), Vec::new());
-        for _ in 0..2_000 {
+        for _ in 0..1_200 {
             phase += core::f64::consts::PI / 30.0 * (1.0 + 0.2 * noise());
             op.push(50.0 + 3.0 * libm::sin(phase) + 0.1 * noise());
             pv.push(20.0 + libm::sin(phase - 0.8) + 0.1 * noise());
         }
         let record = Record::uniform(1.0, op, pv);
-        let assessment = crate::verdict::assess(&record, &crate::verdict::AssessParams::default());
+        let oscillation = crate::verdict::Oscillation {
+            oscillating: true,
+            period_s: Some(60.0),
+            periods: Some(20.0),
+            samples_per_period: Some(60.0),
+            regularity: Some(5.0),
+        };
+        let assessment = Assessment {
+            stiction: Some(false),
+            p_stiction: Some(0.1),
+            ..Assessment::empty(crate::verdict::Window::of(&record), oscillation)
+        };
         let of = |name| PlantLoop { name, record: &record, assessment: &assessment, area: None, upstream: &[] };
         let groups = assess_plant(&[of("A"), of("B")]);
         let [group] = &groups[..] else { panic!("{} groups", groups.len()) };
