@@ -81,7 +81,9 @@ impl Site {
         for k in 0..LOOPS {
             if entries.matches("[[loop]]").count() < 4 && self.chance(3) {
                 let _ = writeln!(entries, "[[loop]]\nname = \"{}\"", name(k));
-                for line in ["hop_s = 15.0", "max_points = 200", "lateness_s = 0.0", "raise = [1, 1]", "criticality = 5"] {
+                for line in
+                    ["hop_s = 15.0", "max_points = 200", "lateness_s = 0.0", "raise = [1, 1]", "criticality = 5"]
+                {
                     if self.chance(3) {
                         let _ = writeln!(entries, "{line}");
                     }
@@ -111,17 +113,17 @@ impl Site {
     fn batch(&mut self, k: u32) -> Vec<(String, String)> {
         let mut sent = Vec::new();
         let sender = &mut self.senders[k as usize];
-        if one_in(&mut self.random, 60) {
+        if one_in(&mut self.random, 150) {
             let by_s = [100, 3600, 86_400, 315_360_000][below(&mut self.random, 4) as usize];
             sender.t_s += if one_in(&mut self.random, 2) { by_s } else { -by_s };
         }
-        if one_in(&mut self.random, 30) {
+        if one_in(&mut self.random, 100) {
             sender.t_s += i64::from(10 + below(&mut self.random, 300));
         }
-        if one_in(&mut self.random, 40) {
+        if one_in(&mut self.random, 100) {
             sender.every_s = 1 + i64::from(below(&mut self.random, 3));
         }
-        for _ in 0..1 + below(&mut self.random, 20) {
+        for _ in 0..1 + below(&mut self.random, 40) {
             sender.t_s += sender.every_s;
             let t_s = sender.t_s;
             for (signal, value) in [("op", 50 + (t_s / 13) % 3), ("pv", t_s % 20), ("sp", 9), ("mode", 2)] {
@@ -134,7 +136,8 @@ impl Site {
                     _ => value.to_string(),
                 };
                 let t_ns = match below(&mut self.random, 500) {
-                    0 => [0, -5, 1 << 62, t_s * S - 1000 * S, t_s * S + 1_000_000 * S][below(&mut self.random, 5) as usize],
+                    0 => [0, -5, 1 << 62, t_s * S - 1000 * S, t_s * S + 1_000_000 * S]
+                        [below(&mut self.random, 5) as usize],
                     _ => t_s * S,
                 };
                 let message = (format!("p/{}/{signal}", name(k)), format!(r#"{{"t": {t_ns}, "v": {value}}}"#));
@@ -195,14 +198,14 @@ impl Site {
 
     fn step(&mut self) {
         self.send();
-        if self.chance(4) {
+        if self.chance(2) {
             self.ask();
         }
-        if self.chance(12) {
+        if self.chance(8) {
             self.edit();
         }
         self.stage().turn();
-        let fits = [0, 1, 3, usize::MAX][self.draw(4) as usize];
+        let fits = [0, 0, 1, usize::MAX][self.draw(4) as usize];
         self.stage().work(fits, |_, request| Some(crate::answers::compute(request).assessment));
         self.stage().diagnose(|_| Outcome::Skipped(SkipReason::Failed, "broke off".to_owned()));
         self.stage().health();
@@ -215,13 +218,19 @@ impl Site {
         self.stage().published().for_each(drop);
         self.clock.advance(Duration::from_secs(3));
         if self.chance(15) {
+            if self.chance(2) {
+                // Nothing comes any more under what is edited here.
+                self.edit();
+                self.stage().turn();
+                self.stage().record();
+            }
             if self.chance(3) {
                 self.stage().finish();
             }
             self.stage = None;
             let downtime_s = [1, 20, 700][self.draw(3) as usize];
             self.clock.advance(Duration::from_secs(downtime_s));
-            if self.chance(3) {
+            if self.chance(2) {
                 self.configure();
             }
             self.start();
@@ -233,7 +242,7 @@ impl Site {
 fn every_recording_of_hostile_input_replays_to_the_byte() {
     let seeds: Vec<u64> = match (super::number("STICTIOND_SEED"), super::number("STICTIOND_SEEDS")) {
         (Some(seed), _) => vec![seed],
-        (None, n) => (1..=n.unwrap_or(3)).collect(),
+        (None, n) => (1..=n.unwrap_or(2)).collect(),
     };
     for seed in seeds {
         let _named = super::Named(seed);
@@ -243,7 +252,7 @@ fn every_recording_of_hostile_input_replays_to_the_byte() {
         site.stage().finish();
         site.stage = None;
         // One in eight file by file, too.
-        let all = if seed % 8 == 3 { replays_to_the_byte } else { runs_replay_to_the_byte };
+        let all = if seed % 8 == 1 { replays_to_the_byte } else { runs_replay_to_the_byte };
         let compared = all(dir.path());
         println!("seed {seed}: {compared} documents equal");
         assert!(compared > 50, "seed {seed}: {compared}");

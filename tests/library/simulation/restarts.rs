@@ -53,8 +53,7 @@ fn pass(stage: &mut SimDaemon, clock: &Clock, seconds: u64) {
 
 fn command(stage: &mut SimDaemon, name: &str, cmd: &str) -> Result<Vec<u8>, String> {
     let answer = Arc::new(Mutex::new(None));
-    let (told, command) =
-        (answer.clone(), Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s: None });
+    let (told, command) = (answer.clone(), Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s: None });
     assert!(stage.command(name, command, Box::new(move |result| *told.lock().unwrap() = Some(result))));
     stage.turn();
     stage.record();
@@ -219,6 +218,63 @@ fn a_loop_that_sends_later_than_the_first_file_of_a_run_goes_on_in_a_replay_too(
     for _ in 0..12 {
         send(&mut stage, "A", &clock);
         pass(&mut stage, &clock, 60);
+    }
+    stage.finish();
+    drop(stage);
+    assert!(replays_to_the_byte(dir.path()) > 4);
+}
+
+#[test]
+fn a_removed_loop_with_windows_under_way_ends_as_it_was_whatever_is_read_again() {
+    let (dir, clock) = (tempfile::tempdir().unwrap(), Clock::standing(super::START_NS));
+    let named = "[[loop]]\nname = \"A\"\ncriticality = 5\narea = \"unit 7\"\n";
+    let [both, one] = [named, ""].map(|entry| text_of(dir.path(), "", &format!("{entry}[[loop]]\nname = \"B\"\n")));
+    let mut stage = start(&both, &clock);
+    pass(&mut stage, &clock, 60);
+    send(&mut stage, "A", &clock);
+    command(&mut stage, "A", "suppress").unwrap();
+    let now_s = clock.now_ns() / 1_000_000_000;
+    for t_s in now_s..now_s + 300 {
+        for (signal, value) in [("op", 50), ("pv", t_s % 20)] {
+            let json = format!(r#"{{"t": {}, "v": {value}}}"#, t_s * 1_000_000_000);
+            stage.deliver(&format!("p/A/{signal}"), json.as_bytes());
+        }
+    }
+    stage.turn();
+    stage.published().for_each(drop);
+    for _ in 0..2 {
+        assert!(stage.edit(Config::parse(&one).unwrap(), &one).is_some());
+        stage.turn();
+    }
+    assert!(alarms(&mut stage).is_empty(), "its windows are under way");
+    stage.work(usize::MAX, |_, request| Some(crate::answers::compute(request).assessment));
+    let removed = stage.published().filter(|p| p.kind == Kind::Alarm).last().unwrap();
+    let removed: Value = serde_json::from_slice(&removed.document.unwrap()).unwrap();
+    assert_eq!((&removed["event"], &removed["criticality"]), (&Value::from("removed"), &Value::from(5)));
+    stage.finish();
+    drop(stage);
+    assert!(replays_to_the_byte(dir.path()) > 4);
+}
+
+#[test]
+fn a_window_that_is_empty_at_a_start_has_the_size_that_it_is_started_with() {
+    let (dir, clock) = (tempfile::tempdir().unwrap(), Clock::standing(super::START_NS));
+    let [large, small] =
+        ["", "max_points = 128\n"].map(|size| text_of(dir.path(), "", &format!("[[loop]]\nname = \"A\"\n{size}")));
+    let mut stage = start(&large, &clock);
+    pass(&mut stage, &clock, 60);
+    send(&mut stage, "A", &clock);
+    send(&mut stage, "B", &clock);
+    command(&mut stage, "A", "suppress").unwrap();
+    assert!(stage.edit(Config::parse(&small).unwrap(), &small).is_some());
+    stage.turn();
+    stage.finish();
+    drop(stage);
+    let mut stage = start(&large, &clock);
+    for _ in 0..6 {
+        pass(&mut stage, &clock, 60);
+        send(&mut stage, "A", &clock);
+        send(&mut stage, "B", &clock);
     }
     stage.finish();
     drop(stage);
