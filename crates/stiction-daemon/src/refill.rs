@@ -237,7 +237,8 @@ mod tests {
         }
         let (mut config, faults) = (Config::with_prefix("p"), Faults::default());
         config.input.max_loops = 100 * LOOPS_PER_FILE;
-        let shards: Vec<usize> = last_files(dir.path(), &config, &OwnRuns::default(), &faults).iter().map(|file| file.shard).collect();
+        let shards: Vec<usize> =
+            last_files(dir.path(), &config, &OwnRuns::default(), &faults).iter().map(|file| file.shard).collect();
         assert_eq!(shards, [0, 99]);
         assert!(faults.list().iter().any(|fault| fault.contains("max_loops")), "{:?}", faults.list());
     }

@@ -22,8 +22,8 @@ use stiction_monitor::codec::decode_recorded;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{
-    Checkpoint, Engine, EngineSettings, Event, GapRequest, LoopId, LoopWindow, RecordedInput, RecordedNeighbour, Request,
-    SkipReason, StateDocument,
+    Checkpoint, Engine, EngineSettings, Event, GapRequest, LoopId, LoopWindow, RecordedInput, RecordedNeighbour,
+    Request, SkipReason, StateDocument,
 };
 
 /// A document that replay made.

@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 
 use super::to_json;
 use stiction_files::disk::Disk;
+use stiction_files::run::RunMetadata;
 use stiction_files::store::{
     STORE_NAME, StateStore, StoreError, Stored, key_of, key_of_data_health, key_of_runs, loop_of, verified_of,
 };
-use stiction_files::run::RunMetadata;
 use stiction_files::{FileError, InputKind, Item, ReadError, RecordingReader};
 use stiction_monitor::alarm::State;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
