@@ -132,6 +132,9 @@ pub struct EffectNote {
     /// Whether it is a wave with the period of the sticking valve's limit cycle, which makes it.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub own_cycle: bool,
+    /// Whether it is a load that begins while PV answers a move of the set point the same way.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub follows_set_point: bool,
 }
 
 /// The answer.
@@ -366,16 +369,19 @@ impl GapDocument {
         let mut cause = CauseNote::of(diagnosis, tellable.as_ref());
         let sp_moves = set_point::moves(record);
         let against = held_against(record, diagnosis, &effects, (valve.as_ref(), &sp_moves));
-        let own_cycle: Vec<bool> = effects.iter().map(|e| against.is_own_cycle(e)).collect();
-        let is_doubtful = |e: &EffectNote| against.is_own_cycle(e) || against.follows_set_point(e);
-        cause.confirmed &= !effects.iter().any(|e| e.id == cause.id && is_doubtful(e));
+        let not_outside: Vec<[bool; 2]> =
+            effects.iter().map(|e| [against.is_own_cycle(e), against.follows_set_point(e)]).collect();
+        let doubted = effects.iter().zip(&not_outside).filter(|(_, why)| why.contains(&true));
+        cause.confirmed &= !doubted.into_iter().any(|(e, _)| e.id == cause.id);
         let named = effects.iter().chain(&pairs).find(|e| e.id == cause.id);
         let named = named.map(|e| (&e.parameters, cause.confirmed));
         let mut budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.findings.signatures, named));
         if let Some(budget) = &mut budget {
             against.settle(budget);
         }
-        effects.iter_mut().zip(own_cycle).for_each(|(effect, own)| effect.own_cycle = own);
+        for (effect, why) in effects.iter_mut().zip(not_outside) {
+            [effect.own_cycle, effect.follows_set_point] = why;
+        }
         let deviation = stats::std_dev(&record.pv);
         let spent = diagnosis.spent;
         let figures = |fit: &Fit| Figures::of(fit, diagnosis.findings.floor.noise_floor, deviation);
@@ -561,6 +567,7 @@ impl EffectNote {
             separated_by: effect.separated_by.to_owned(),
             at_floor: effect.fit.as_ref().filter(|_| effect.simulated).map(|f| f.at_floor),
             own_cycle: false,
+            follows_set_point: false,
         }
     }
 }

@@ -2,9 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::units::number;
 use crate::verdict::bump_test::{self, Refusal};
-use crate::verdict::{Assessment, ValvePosition, words};
+use crate::verdict::{Assessment, ValvePosition, answer, words};
 
 /// The valve of a diagnosed record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -18,6 +17,9 @@ pub struct ValveNote {
     pub p_stiction: Option<f64>,
     /// Dead band plus stick band, OP units, where it sticks.
     pub s: Option<f64>,
+    /// The same in words, with its interval.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<String>,
     /// Period of its limit cycle, s: that of the regular oscillation of a valve that sticks.
     pub cycle_s: Option<f64>,
     /// Why no bump test is proposed for it, where it sticks and none is.
@@ -39,6 +41,7 @@ impl ValveNote {
             sticks: a.stiction,
             p_stiction: a.p_stiction,
             s: a.s.filter(|_| sticks),
+            size: answer::size(a).filter(|_| sticks),
             cycle_s: a.oscillation.period_s.filter(|_| sticks && a.oscillation.oscillating),
             no_bump_test: sticks.then(refusal).flatten().map(|why| why.words()),
             position: a.valve_position,
@@ -54,7 +57,7 @@ impl ValveNote {
     /// The sentence, with the size where the valve sticks.
     #[must_use]
     pub fn title(&self) -> String {
-        let size = self.s.map_or_else(String::new, |s| format!(", s = {} OP units", number(s)));
+        let size = self.size.as_ref().map_or_else(String::new, |size| format!(", s = {size}"));
         format!("{}{size}", self.sentence)
     }
 }

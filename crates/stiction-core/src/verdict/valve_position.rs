@@ -88,7 +88,7 @@ mod tests {
     /// A stem that rests until OP is `fs` ahead of it and goes on to `fd` behind; its position in other units, with noise.
     fn recorded(fs: f64, fd: f64, noise_sd: f64) -> Record {
         let (mut noise, mut stem) = (Noise::new(3, 1), 50.0);
-        let op: Vec<f64> = (0..800).map(|k| 50.0 + 6.0 * libm::sin(f64::from(k) * 0.11)).collect();
+        let op: Vec<f64> = (0..2_000).map(|k| 50.0 + 6.0 * libm::sin(f64::from(k) * 0.04)).collect();
         let follow = |u: &f64| {
             let ahead: f64 = u - stem;
             if ahead.abs() > fs {
@@ -114,9 +114,9 @@ mod tests {
 
     #[test]
     fn a_position_that_rests_or_does_not_follow_op_has_none() {
-        let resting = Record { mv: Some(vec![7.0; 800]), ..recorded(1.0, 1.0, 0.0) };
+        let resting = Record { mv: Some(vec![7.0; 2_000]), ..recorded(1.0, 1.0, 0.0) };
         let mut noise = Noise::new(4, 1);
-        let other = Record { mv: Some((0..800).map(|_| noise.gaussian()).collect()), ..recorded(1.0, 1.0, 0.0) };
+        let other = Record { mv: Some((0..2_000).map(|_| noise.gaussian()).collect()), ..recorded(1.0, 1.0, 0.0) };
         assert_eq!([resting, other].map(|record| ValvePosition::of(&record)), [None, None]);
     }
 }

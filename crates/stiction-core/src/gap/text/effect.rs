@@ -41,6 +41,9 @@ pub(super) fn phrase(e: &EffectNote) -> String {
     if let Some(period) = sizes.said("period").filter(|_| e.own_cycle) {
         return format!("a part of the valve's own cycle, period {period} s");
     }
+    if let Some(at) = sizes.said("at").filter(|_| e.follows_set_point) {
+        return format!("PV's answer to a move of the set point, {at} s after the start");
+    }
     phrase_of(&e.id, &e.parameters)
 }
 

@@ -189,6 +189,7 @@ fn sticking(position: Option<ValvePosition>) -> ValveNote {
         sticks: Some(true),
         p_stiction: Some(0.96),
         s: Some(5.5),
+        size: Some("5.5 OP units".to_owned()),
         cycle_s: Some(75.0),
         no_bump_test: None,
         position,
