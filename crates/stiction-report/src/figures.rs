@@ -219,9 +219,10 @@ fn phases(of: &Subject<'_>) -> Figures {
     let mut out = vec![
         Figure {
             picture: phase("Phase plot", of, record, 0, None)?,
-            caption: "PV over OP as recorded. Lag and dead time open it whether or not the valve sticks: with a lag that is \
+            caption:
+                "PV over OP as recorded. Lag and dead time open it whether or not the valve sticks: with a lag that is \
                       short against the period, a sticking valve shows stretches in which OP moves and PV does not."
-                .to_owned(),
+                    .to_owned(),
             wide: false,
         },
         Figure {

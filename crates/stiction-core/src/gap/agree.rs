@@ -4,7 +4,9 @@
 //! Effects are sized twice, by the free run and by the budget's noise model, each blind to something. What both found in one
 //! place is one effect: it has the free run's size, and is confirmed only where both agree.
 
-use super::budget::document::{BudgetNote, DISTURBANCE, NOT_SPLIT, PartNote, UPSETS, VALVE_AND_PROCESS, WANDERING_CYCLE};
+use super::budget::document::{
+    BudgetNote, DISTURBANCE, NOT_SPLIT, PartNote, UPSETS, VALVE_AND_PROCESS, WANDERING_CYCLE,
+};
 use super::decide::LITTLE;
 use super::document::EffectNote;
 use super::effects::{sinusoid, static_nonlinearity, step_load, stiction};
@@ -202,7 +204,8 @@ mod tests {
         let mut budget = document().budget.unwrap();
         budget.parts = parts;
         let cycle_s = Some(73.8);
-        Known { effects, cycle_s, of_friction, record_s: 3_000.0, answer_s: 40.0, sp_moves: &[], point_s: 1.0 }.settle(&mut budget);
+        Known { effects, cycle_s, of_friction, record_s: 3_000.0, answer_s: 40.0, sp_moves: &[], point_s: 1.0 }
+            .settle(&mut budget);
         budget.parts
     }
 

@@ -33,7 +33,8 @@ mod tests {
 
     #[test]
     fn a_gap_below_the_noise_or_the_stated_limit_is_small_enough() {
-        let limit = |gap: f64, floor: Option<f64>| EnoughNote::of(gap, floor).map(|e| (e.limit_pct.round(), e.is_noise));
+        let limit =
+            |gap: f64, floor: Option<f64>| EnoughNote::of(gap, floor).map(|e| (e.limit_pct.round(), e.is_noise));
         assert_eq!(limit(0.02, Some(0.03)), Some((3.0, true)));
         assert_eq!(limit(0.04, Some(0.03)), Some((10.0, false)));
         assert_eq!(limit(0.15, Some(0.2)), Some((20.0, true)));

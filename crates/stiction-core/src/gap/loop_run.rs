@@ -185,7 +185,8 @@ pub(crate) fn share_of_friction(record: &Record, model: &Model, noise_sd: f64) -
     }
     let reading = controller::read(record)?;
     let measured = cycle(&record.op(), &record.pv, record.point_s());
-    let freed = Model { valve: Valve { law: "none".to_owned(), fs: 0.0, fd: 0.0, ..model.valve.clone() }, ..model.clone() };
+    let freed =
+        Model { valve: Valve { law: "none".to_owned(), fs: 0.0, fd: 0.0, ..model.valve.clone() }, ..model.clone() };
     let run = |model: &Model| {
         let [op, pv] = simulated(model, &reading, record, noise_sd)?;
         Some((cycle(&op, &pv, model.ts_s), stats::variance(&pv)))

@@ -131,7 +131,8 @@ fn next(d: &GapDocument) -> (String, String) {
     let asked = if asked.is_empty() { "the valve position beside OP and PV" } else { asked };
     let is_recorded = d.location.op_to_mv.is_some() || d.valve.as_ref().is_some_and(|valve| valve.position.is_some());
     let asked = if is_recorded { beside_position(asked) } else { Some(asked.to_owned()) };
-    let told = asked.map(|asked| (asked.replace("; ", ", or "), "a measurement; the loop stays in automatic".to_owned()));
+    let told =
+        asked.map(|asked| (asked.replace("; ", ", or "), "a measurement; the loop stays in automatic".to_owned()));
     told.unwrap_or_else(nothing)
 }
 

@@ -27,8 +27,8 @@ pub use crate::detect::Indicator;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
 pub use assess::{assess, assess_in_windows, figures, is_screened_out};
 pub use document::{
-    Assessment, Controller, CountedBy, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement, Oscillation,
-    Process, Search, Verdict, Window, reasons,
+    Assessment, Controller, CountedBy, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement,
+    Oscillation, Process, Search, Verdict, Window, reasons,
 };
 pub use gates::is_fraction;
 pub use params::AssessParams;

@@ -293,8 +293,7 @@ impl GapRequest {
         let together = is_pooled.then(|| pool::decide_together(&windows)).transpose()?;
         let diagnosis = together.map_or_else(|| alone.clone(), |together| alone.with_answer_of(&together));
         let assessment = assess(&self.record, &self.assess);
-        let mut document =
-            GapDocument::beside(&self.loop_name, &self.record, &options, &diagnosis, Some(&assessment));
+        let mut document = GapDocument::beside(&self.loop_name, &self.record, &options, &diagnosis, Some(&assessment));
         if is_pooled {
             document.pooled = pool::notes(&windows, self.earlier.len());
         }

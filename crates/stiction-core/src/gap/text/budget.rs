@@ -93,7 +93,8 @@ pub fn budget(d: &GapDocument) -> Option<BudgetText> {
 #[must_use]
 pub fn tellable(d: &GapDocument) -> Vec<String> {
     let is_open = d.good_enough.is_none();
-    let said = |told: &TellableNote| iter::once(predicted(told)).chain(helps(told).filter(|_| is_open)).collect::<Vec<_>>();
+    let said =
+        |told: &TellableNote| iter::once(predicted(told)).chain(helps(told).filter(|_| is_open)).collect::<Vec<_>>();
     d.tellable.iter().flat_map(said).collect()
 }
 

@@ -4,8 +4,8 @@ use super::super::document::{AlternativeNote, GapDocument, TestNote};
 use super::super::enough::EnoughNote;
 use super::super::types::Compared;
 use super::super::valve_note::ValveNote;
-use crate::verdict::ValvePosition;
 use super::{answer, beside_position, first, paragraph, report, summary, title, verbose};
+use crate::verdict::ValvePosition;
 
 /// Words that no answer may hold together.
 const APART: [[&str; 2]; 17] = [
@@ -238,7 +238,10 @@ fn what_is_recorded_is_said_and_not_asked_for() {
     let left = |asked: &str| beside_position(asked);
     assert_eq!(left("the valve position"), None);
     assert_eq!(left("the valve position over several slips"), None);
-    assert_eq!(left("the valve position, or OP moved slowly to the stop").as_deref(), Some("OP moved slowly to the stop"));
+    assert_eq!(
+        left("the valve position, or OP moved slowly to the stop").as_deref(),
+        Some("OP moved slowly to the stop")
+    );
     assert_eq!(left("the valve position during one slow ramp of OP").as_deref(), Some("one slow ramp of OP"));
     assert_eq!(left("a second sensor").as_deref(), Some("a second sensor"));
 }
