@@ -16,7 +16,7 @@ use crate::extract::PathName;
 use stiction_core::ident::fit_plots::FitPlots;
 use stiction_core::record::{Record, Signal};
 use stiction_core::repair::{NoRepair, Repair, RepairParams, repair};
-use stiction_core::units::{file_stem_of, ms_from_ns, ns_from_s};
+use stiction_core::units::{file_stem_of, format_rfc3339, from_to, ms_from_ns, ns_from_s};
 use stiction_core::verdict::EstimateDocument;
 use stiction_files::LoadedLoop;
 use stiction_files::csv;
@@ -26,6 +26,7 @@ use stiction_report::detail::Detail;
 use stiction_report::diagram::Tags;
 use stiction_report::figures::{Figure, Subject, detailed};
 use stiction_report::{LoopReport, Report, page};
+use stiction_runtime::clock::now_ns;
 
 /// Points of a watched loop that are sent at first.
 const FIRST_POINTS: usize = 100;
@@ -274,7 +275,10 @@ async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<R
         .drawings
         .run(move || {
             let warnings = alarm.iter().map(|alarm| alarm.line()).collect();
-            let (input, command) = (format!("live data of {prefix}"), "taken from the daemon's page".to_owned());
+            let w = &estimated.document.assessment.window;
+            let window = from_to(w.start_ns, w.end_ns);
+            let command = format!("evidence sheet of loop {name}, window {window}, written {}", format_rfc3339(now_ns()));
+            let input = format!("live data of {prefix}");
             page(&Report { input, command, warnings, loops: vec![estimated.report(&name)], groups: None })
         })
         .await?;
