@@ -61,6 +61,12 @@ class Process:
     """Mean squared error of the free run, PV units squared."""
     fit_pct: float
     """100 (1 - rms error / standard deviation of PV)."""
+    tested: bool = True
+    """Whether the record tests the model; the numbers of one that is not tested mean nothing."""
+    gain_interval: tuple[float, float] | None = None
+    """90 % interval of the gain, where the thirds of the record tell it."""
+    dead_time_interval_s: tuple[float, float] | None = None
+    """90 % interval of the dead time, s, likewise."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +204,7 @@ class Assessment:
         return drawn
 
     def _repr_html_(self) -> str:
-        process = None if self.process is None else (
+        process = None if self.process is None or not self.process.tested else (
             f"order {self.process.order}, gain {_show.number(self.process.gain)}, time constants "
             f"{', '.join(_show.number(lag) for lag in self.process.time_constants_s) or 'none'} s, "
             f"dead time {_show.number(self.process.dead_time_s)} s"
@@ -224,7 +230,11 @@ def assessment_of(document: str, said: str, record: Record | None = None) -> Ass
     d, words = json.loads(document), json.loads(said)
     process = d["process"]
     if process is not None:
-        process = Process(**{**process, "time_constants_s": tuple(process["time_constants_s"])})
+        process = Process(**{
+            **process,
+            "time_constants_s": tuple(process["time_constants_s"]),
+            **{name: _interval(process[name]) for name in ("gain_interval", "dead_time_interval_s")},
+        })  # fmt: skip
     plain = ("verdict", "stiction", "p_stiction", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable")
     more = ("stiction_index", "severity_by_range", "valve_model", "reason")
     intervals = ("s_interval", "j_interval", "fs_interval", "fd_interval")

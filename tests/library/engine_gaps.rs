@@ -96,6 +96,9 @@ fn assessment(request: &Request, fit_pct: Option<f64>) -> Assessment {
         integrating: false,
         mse: 0.01,
         fit_pct,
+        tested: true,
+        gain_interval: None,
+        dead_time_interval_s: None,
     });
     a
 }

@@ -89,6 +89,7 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
         fd_interval: read(d, "fd_interval"),
         s_interval: read(d, "s_interval"),
         j_interval: read(d, "j_interval"),
+        s_thirds: each(d, "s_thirds"),
         interval_level: read(d, "interval_level"),
         j_identifiable: read(d, "j_identifiable"),
         s_detectable: read(d, "s_detectable"),

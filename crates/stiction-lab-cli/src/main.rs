@@ -4,6 +4,7 @@
 mod calibrate;
 mod challenge;
 mod fleet;
+mod repeat;
 
 use std::process::ExitCode;
 
@@ -27,6 +28,7 @@ struct Cli {
 enum Command {
     Challenge(challenge::Args),
     Calibrate(calibrate::Args),
+    Repeat(repeat::Args),
     /// Time the comparison of 1,000, 10,000 and 100,000 loops, of which one in five oscillates.
     Fleet,
     /// Write man pages, one per command.
@@ -53,6 +55,7 @@ fn run(cli: &Cli) -> anyhow::Result<Outcome> {
     match &cli.command {
         Command::Challenge(args) => challenge::run(args, format),
         Command::Calibrate(args) => calibrate::run(args, format),
+        Command::Repeat(args) => repeat::run(args, format),
         Command::Fleet => fleet::run(format),
         Command::Manual(args) => manual::run(Cli::command(), args, format),
         Command::Completions { shell } => {

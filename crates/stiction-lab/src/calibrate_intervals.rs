@@ -171,6 +171,7 @@ pub fn table(rows: &[Row], settings: &Settings) -> Vec<Coverage> {
 mod tests {
     use super::*;
     use stiction_core::ident::residual::Whiteness;
+    use stiction_core::ident::width::THIRDS;
 
     /// A white fit whose s is off by a share of what the interval holds.
     fn row(off: f64) -> Row {
@@ -187,6 +188,7 @@ mod tests {
             quantum: 0.0,
             index: 0.95,
             distinct: false,
+            thirds: [None; THIRDS],
         };
         let (truth, found) = ([s * (1.0 + off), j], [s, j]);
         Row { regime: "he start".to_owned(), seed: 0, truth, found, spread, span: 8.0, evaluations: 9 }

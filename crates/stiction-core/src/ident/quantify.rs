@@ -5,14 +5,15 @@ use super::class::Class;
 use super::no_fit::NoFit;
 use super::normalised::NormalisedRecord;
 use super::sign;
-use super::slip_search::answer::{Answer, OrderChoice, improvement, view_of};
+use super::slip_search::answer::{Answer, OrderChoice, held_out_share, improvement, view_of};
 use super::slip_search::candidate::{Candidate, apart};
 use super::slip_search::interval;
 use super::slip_search::problem::Problem;
 use super::slip_search::rivals;
 use super::slip_search::settings::SearchSettings;
 use super::slip_search::stages::{Ended, Found, Request, Search};
-use super::width::Spread;
+use super::slip_search::thirds;
+use super::width::{Spread, Third};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -54,6 +55,8 @@ pub struct Estimate {
     /// Ranges of s, j, fs and fd that explain the record almost as well, OP units; [`crate::verdict::assess`] widens them to
     /// 90 % intervals.
     pub spread: Spread,
+    /// Share of PV's movement that the process leaves in the last part of the record when it is fitted to what comes before.
+    pub held_out: f64,
     /// Number of models evaluated.
     pub evaluations: u64,
     /// Rounds of the search, for all signs of the gain.
@@ -80,6 +83,41 @@ impl Estimate {
     pub(crate) fn stiction_index(&self) -> f64 {
         improvement(self.mse, self.mse_without)
     }
+}
+
+/// Half width of a 90 % interval in standard errors of a mean of three, and the least: of a gain as a logarithm, of a dead time in
+/// points.
+const OF_THREE: f64 = 2.92;
+const LEAST_GAIN: f64 = 0.05;
+const LEAST_DEAD_TIME: f64 = 0.5;
+
+impl Estimate {
+    /// 90 % interval of the gain, by how far the thirds of the record lie apart.
+    #[must_use]
+    pub(crate) fn gain_interval(&self) -> Option<[f64; 2]> {
+        let gains = self.thirds().map(|third| third.gain).filter(|gain| *gain > 0.0);
+        let half = half_width(gains.map(libm::log))?.max(LEAST_GAIN);
+        let ends = [-half, half].map(|by| self.gain * libm::exp(by));
+        Some([ends[0].min(ends[1]), ends[0].max(ends[1])])
+    }
+
+    /// The same of the dead time, s; `point_s` is the time between points.
+    #[must_use]
+    pub(crate) fn dead_time_interval_s(&self, point_s: f64) -> Option<[f64; 2]> {
+        let half = point_s * half_width(self.thirds().map(|third| third.dead_time))?.max(LEAST_DEAD_TIME);
+        Some([(self.dead_time_s - half).max(0.0), self.dead_time_s + half])
+    }
+
+    fn thirds(&self) -> impl Iterator<Item = Third> {
+        self.spread.thirds.into_iter().flatten()
+    }
+}
+
+/// Half width of the 90 % interval of a mean; `None` of fewer than two values.
+fn half_width(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let values: Vec<f64> = values.collect();
+    let error = stats::std_dev(&values) / (values.len() as f64 - 1.0).sqrt();
+    (values.len() > 1).then_some(OF_THREE * error)
 }
 
 /// Share of PV's variance left unexplained from which the sign that was read is doubted.
@@ -169,6 +207,7 @@ fn report(
     let met = interval::spread(evaluator, &mut view, &answer.candidate, &rivals, index, options.seed)?;
     let best = met.best;
     let mut spread = met.spread;
+    spread.thirds = thirds::thirds(evaluator, answer.rho, &best, &found.seen, options.seed);
     spread.distinct = !spread.whiteness.is_noise() && rivals::are_ruled_out(&best, &answer.rivals);
     // A better candidate met on the way of the interval is the answer.
     let same = best.covers(answer.candidate.s, answer.candidate.j, answer.candidate.start);
@@ -180,6 +219,7 @@ fn report(
         let again = evaluator.in_class(plain, &best, class).and_then(|c| evaluator.polish(plain, &c));
         again.map_or(answer.plain_sse, |p| p.sse)
     };
+    let held_out = held_out_share(evaluator, answer.rho, &best);
     let [s, j] = interval::centred(&best);
     let point_s = record.point_s();
     let gain = class.gain(met.process.gain) * deviation / span;
@@ -203,6 +243,7 @@ fn report(
         j_error: 2.0 * met.band_error * span,
         s_cell: best.cells[0].map(|v| v * span),
         spread: spread.scaled(span),
+        held_out,
         evaluations: 0,
         rounds: found.rounds,
         ended: found.ended,

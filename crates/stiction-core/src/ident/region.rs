@@ -72,9 +72,13 @@ pub const STRENGTHS: [f64; 2] = [0.2, 0.6];
 /// `none` below a tenth of OP's span; `deadband` below j/s = 0.15; `stick_slip` above 0.85.
 #[must_use]
 pub(crate) fn region(s: f64, j: f64, span: f64) -> Region {
-    if s < BOUNDS[0] * span || s <= 0.0 {
-        Region::None
-    } else if j / s < BOUNDS[1] {
+    if s < BOUNDS[0] * span || s <= 0.0 { Region::None } else { kind(s, j) }
+}
+
+/// The same however small s is.
+#[must_use]
+pub(crate) fn kind(s: f64, j: f64) -> Region {
+    if j / s < BOUNDS[1] {
         Region::Deadband
     } else if j / s > BOUNDS[2] {
         Region::StickSlip

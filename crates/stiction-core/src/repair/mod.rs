@@ -93,6 +93,11 @@ pub enum NoRepair {
         "no model of valve and process fits this record, so the loop cannot be simulated; choose a window in which OP moves more"
     )]
     NoModel,
+    /// The record does not test the process model.
+    #[error(
+        "the record does not test the process model: nothing but the controller moves OP, or the model does not hold in the rest of the record; choose a window with moves of the set point"
+    )]
+    Untested,
     /// No controller model.
     #[error(
         "the controller cannot be identified from this record: no PID controller explains OP from PV; choose a window in automatic, with uncompressed OP and PV"

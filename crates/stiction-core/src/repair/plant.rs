@@ -65,6 +65,9 @@ impl<'a> Known<'a> {
             return Err(NoRepair::Inconclusive(a.reason.unwrap_or("inconclusive").to_owned()));
         }
         let process = a.process.as_ref().ok_or(NoRepair::NoModel)?;
+        if !process.tested {
+            return Err(NoRepair::Untested);
+        }
         let controller = a.controller.as_ref().ok_or(NoRepair::NoController)?;
         if controller.unexplained > 1.0 - EXPLAINED {
             return Err(NoRepair::PartController(100.0 * (1.0 - controller.unexplained)));

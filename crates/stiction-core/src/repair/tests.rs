@@ -56,6 +56,9 @@ fn truth(record: &Record) -> Assessment {
         integrating,
         mse: NOISE * NOISE,
         fit_pct: 99.0,
+        tested: true,
+        gain_interval: None,
+        dead_time_interval_s: None,
     };
     let found = assess(record, &AssessParams { always_fit: true, ..AssessParams::default() });
     Assessment {

@@ -1,7 +1,7 @@
 //! One record in, one assessment out: first look, evidence, judgement, document.
 
 use super::detectable;
-use super::document::{Assessment, Controller, Gate, Search, Window};
+use super::document::{Assessment, Controller, Gate, Process, Search, Verdict, Window};
 use super::evidence::{Answer, FirstLook, Windows, describe, options};
 use super::excursion;
 use super::features::Figures;
@@ -13,8 +13,8 @@ use super::swapped;
 use super::valve_position::ValvePosition;
 use crate::ident::Estimate;
 use crate::ident::controller::Reading;
-use crate::ident::region::{region, severity_by_range, strength_by_span};
-use crate::ident::width::{Intervals, Settings};
+use crate::ident::region::{self, region, severity_by_range, strength_by_span};
+use crate::ident::width::{Intervals, Settings, agree};
 use crate::optim::SolverName;
 use crate::record::Record;
 use crate::signal::stats;
@@ -29,6 +29,10 @@ pub(super) const WHOLE_SWING: f64 = 0.999;
 /// believe in: of sticking loops with a "no" (verdict cases of the calibration half, seeds 71500 to 72299) the valve's s
 /// lay under the end itself in 78 % of 103, under twice the end in 94 %.
 const BOUND_MARGIN: f64 = 2.0;
+/// Standard deviation of the set point over PV's from which it tells the process from the controller.
+const MOVED: f64 = 0.2;
+/// Share of PV's movement that a model may leave in the part of a record that it was not fitted to.
+const HOLDS: f64 = 0.7;
 /// Level of the intervals in every document.
 const INTERVAL_LEVEL: f64 = 0.9;
 
@@ -140,9 +144,20 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
     // An interval that ends where OP's swing does was not measured there, nor is that of a valve that does not stick.
     let is_measured = !judgement.not_found && measured.s[1] < WHOLE_SWING * e.span;
     let width = is_measured.then(|| (measured.s[1] - measured.s[0]) / e.s);
+    let j_identifiable = e.spread.j_identifiable && is_one_kind(&intervals, e.s);
+    let verdict = match found.verdict {
+        // Whether it slips is not known.
+        Verdict::Deadband if !j_identifiable => Verdict::Stiction,
+        other => other,
+    };
+    // A likelihood that stands tells more than the parts of its record.
+    let s_thirds: Vec<f64> =
+        e.spread.thirds.iter().flatten().map(|third| third.s).filter(|_| !e.spread.stands()).collect();
+    let limited = !found.gates.is_empty() || !agree(&s_thirds, measured.s);
     Assessment {
+        verdict,
         contributing: judgement.contributing,
-        grade: found.stiction.and_then(|sticks| grade(sticks, confidence, !found.gates.is_empty(), width)),
+        grade: found.stiction.and_then(|sticks| grade(sticks, confidence, limited, width)),
         fs: Some(0.5 * (e.s + e.j)),
         fd: Some(0.5 * (e.s - e.j)),
         s: Some(e.s),
@@ -151,17 +166,31 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
         fd_interval: Some(intervals.fd),
         s_interval: Some(intervals.s),
         j_interval: Some(intervals.j),
-        j_identifiable: Some(e.spread.j_identifiable),
+        s_thirds,
+        j_identifiable: Some(j_identifiable),
         s_detectable,
         s_over_span: Some(e.s / e.span),
         region: Some(region(e.s, e.j, e.span)),
         strength_by_span: Some(strength_by_span(e.s, e.span)),
         severity_by_range: params.op_range.and_then(|range| severity_by_range(e.s, range)),
         valve_model: Some(e.law),
-        process: answer.sized.process(),
+        process: answer.sized.process().map(|p| Process { tested: is_tested(answer, e, found.stiction), ..p }),
         fitted_by: Some(e.basis),
         ..found
     }
+}
+
+/// Whether both ends of j's interval are the same kind of sticking.
+fn is_one_kind(intervals: &Intervals, s: f64) -> bool {
+    let [low, high] = intervals.j.map(|j| region::kind(s, j));
+    low == high
+}
+
+/// Whether the record tests the process model: something moves PV apart from the controller, and the model holds where it was not
+/// fitted.
+fn is_tested(answer: &Answer<'_>, e: &Estimate, stiction: Option<bool>) -> bool {
+    let is_excited = stiction == Some(true) || answer.sized.figures.setpoint_share >= MOVED;
+    is_excited && e.held_out <= HOLDS
 }
 
 /// The intervals of the bands, wider for every gate that limits the fit.
@@ -255,5 +284,11 @@ mod tests {
         // What would not have been found is not excluded; j goes along.
         let beyond = bounded(&measured, Some(10.0), 50.0);
         assert_eq!((beyond.s, beyond.j), ([0.0, 10.0], [0.0, 0.7 * 4.0]));
+    }
+
+    #[test]
+    fn a_jump_that_may_be_none_or_a_slip_is_not_one_kind() {
+        let with = |j: [f64; 2]| is_one_kind(&Intervals { s: [5.0, 7.0], j, fs: [0.0; 2], fd: [0.0; 2] }, 5.8);
+        assert!(!with([0.0, 4.64]) && !with([0.0, 7.75]) && with([1.2, 4.64]) && with([0.0, 0.3]));
     }
 }

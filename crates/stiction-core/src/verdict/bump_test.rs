@@ -234,6 +234,9 @@ mod tests {
             integrating: false,
             mse: 0.01,
             fit_pct: 90.0,
+            tested: true,
+            gain_interval: None,
+            dead_time_interval_s: None,
         };
         Assessment {
             s: Some(s),

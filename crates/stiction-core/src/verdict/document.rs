@@ -6,6 +6,7 @@ use crate::optim::SolverName;
 use crate::sim::slips::Law;
 use serde::{Deserialize, Serialize};
 
+pub use super::process::Process;
 use super::rule::Opinion;
 use super::valve_position::ValvePosition;
 use crate::detect::Indicator;
@@ -322,26 +323,6 @@ pub struct Oscillation {
     pub regularity: Option<f64>,
 }
 
-/// The process model fitted with the stiction.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Process {
-    /// 1 or 2.
-    pub order: u8,
-    /// PV units per OP unit; also per second if integrating.
-    pub gain: f64,
-    /// Time constants, s, largest first; empty for a pure integrator.
-    pub time_constants_s: Vec<f64>,
-    /// Dead time, s.
-    pub dead_time_s: f64,
-    /// Integrating instead of self-regulating.
-    pub integrating: bool,
-    /// Mean squared free-run error, PV units squared.
-    pub mse: f64,
-    /// 100 (1 - rms error / std PV): 100 is perfect, 0 no better than the mean.
-    pub fit_pct: f64,
-}
-
 /// The controller identified from the record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -406,9 +387,12 @@ pub struct Assessment {
     pub s_interval: Option<[f64; 2]>,
     /// Interval of `j`.
     pub j_interval: Option<[f64; 2]>,
+    /// s of each third of the window that tells it, fitted by itself, OP units; empty where the thirds were not asked.
+    pub s_thirds: Vec<f64>,
     /// Level of the intervals, 0.9.
     pub interval_level: Option<f64>,
-    /// Whether the record identifies j.
+    /// Whether the record identifies j: false too where its interval reaches from a dead band to a slip, or from a slip with play
+    /// to one without.
     pub j_identifiable: Option<bool>,
     /// Smallest s that this window would have shown, OP units; `None` where stiction was found or it cannot be determined.
     pub s_detectable: Option<f64>,
@@ -494,6 +478,7 @@ impl Assessment {
             fd_interval: None,
             s_interval: None,
             j_interval: None,
+            s_thirds: Vec::new(),
             interval_level: None,
             j_identifiable: None,
             s_detectable: None,

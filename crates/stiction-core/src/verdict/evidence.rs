@@ -93,6 +93,9 @@ impl<'r> Evidence<'r> {
             integrating: e.class.integrates(),
             mse: e.mse,
             fit_pct: 100.0 * (1.0 - e.mse.sqrt() / stats::std_dev(&self.record.pv)),
+            tested: false,
+            gain_interval: e.gain_interval(),
+            dead_time_interval_s: e.dead_time_interval_s(self.record.point_s()),
         })
     }
 }

@@ -15,6 +15,7 @@ mod group;
 mod judgement;
 mod params;
 pub(crate) mod plausible;
+mod process;
 pub mod rule;
 mod screen;
 pub mod swapped;

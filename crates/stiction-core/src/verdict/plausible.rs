@@ -111,6 +111,9 @@ mod tests {
             integrating: false,
             mse: 0.1,
             fit_pct: 80.0,
+            tested: true,
+            gain_interval: None,
+            dead_time_interval_s: None,
         }
     }
 

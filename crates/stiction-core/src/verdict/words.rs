@@ -1,6 +1,7 @@
 //! An estimate in words that a planner can act on.
 
 use crate::ident::region::Size;
+use crate::ident::width::agree;
 use crate::people;
 use crate::units::{number, probability};
 use crate::verdict::action::{self, Action};
@@ -72,7 +73,10 @@ pub fn reservation(a: &Assessment) -> Option<String> {
     {
         why.push(format!("p {}", probability(p)));
     }
-    if at_bound(a) {
+    if thirds_disagree(a) {
+        let said: Vec<String> = a.s_thirds.iter().map(|s| number(*s)).collect();
+        why.push(format!("parts of the window give other sizes: s {}", said.join(", ")));
+    } else if at_bound(a) {
         why.push("s reaches the largest value that OP's span allows".to_owned());
     } else {
         match a.s_interval.zip(a.s) {
@@ -86,6 +90,12 @@ pub fn reservation(a: &Assessment) -> Option<String> {
         }
     }
     Some(why.join("; "))
+}
+
+/// Whether the thirds of the window lie farther apart than the interval of s is wide.
+#[must_use]
+pub fn thirds_disagree(a: &Assessment) -> bool {
+    a.s_interval.is_some_and(|interval| !agree(&a.s_thirds, interval))
 }
 
 /// Whether the estimate or its interval ends where OP's span does: then s was not measured upwards.
@@ -397,7 +407,7 @@ pub fn unknowns(a: &Assessment) -> Vec<String> {
     } else if a.s.is_none() {
         out.push("the size: no model was fitted".to_owned());
     } else if a.j_identifiable == Some(false) {
-        out.push("the slip jump j: the stem slips too seldom to tell it from the process gain".to_owned());
+        out.push("the slip jump j: what it may be reaches from one kind of sticking to another".to_owned());
     }
     if a.gates.contains(&Gate::TooCoarse)
         && let Some(period) = a.oscillation.period_s
@@ -490,6 +500,12 @@ mod tests {
         (a.s_over_span, a.s_interval) = (Some(0.5), Some([1.3, 4.0]));
         a.op_range = Some([0.0, 200.0]);
         assert!(size(&a).unwrap().starts_with("1 % of travel (2 OP units), at least 0.65: "), "{:?}", size(&a));
+    }
+
+    #[test]
+    fn a_window_whose_parts_disagree_says_so() {
+        let a = Assessment { grade: Some('B'), s_thirds: vec![1.5, 2.0, 2.2], ..sticking() };
+        assert!(reservation(&a).unwrap().contains("parts of the window give other sizes: s 1.5, 2, 2.2"));
     }
 
     #[test]

@@ -151,7 +151,7 @@ fn what_a_repair_buys_is_foretold() {
 }
 
 #[test]
-fn where_the_valve_is_not_the_cause_a_repair_makes_no_difference() {
+fn where_nothing_sticks_and_the_set_point_rests_no_repair_is_computed() {
     // A tight controller that rings under load, on a valve without friction.
     let mut model = drawn(0);
     model.process = ProcessModel { gain: 1.0, tau: 15.0, tau2: 6.0, dead_time: 6.0, integrating: false };
@@ -159,23 +159,9 @@ fn where_the_valve_is_not_the_cause_a_repair_makes_no_difference() {
     model.valve = ValveModel::HEALTHY;
     model.pv_noise_sd = 0.05;
     model.load = vec![Disturbance::Ar1 { sd: 2.0, time_constant_s: 20.0 }];
-    let mut answered = 0;
-    for seed in 0..4 {
-        let record = recorded(&model, seed);
-        let found = assess(&record, &AssessParams { always_fit: true, ..AssessParams::default() });
-        let told = told(&record);
-        let Ok(told) = told.inspect_err(|why| println!("{seed}: {:?}: {why}", found.verdict)) else { continue };
-        answered += 1;
-        println!("{}", told.sentences.join("\n"));
-        let [low, high] = told.repaired.pv_sd_ratio.interval;
-        assert!(low <= 1.0 && 1.0 <= high, "{low} {high}");
-        assert!(
-            told.sentences.iter().any(|s| s.contains("not simulated") || s.contains("not known")),
-            "{:?}",
-            told.sentences
-        );
-    }
-    assert!(answered >= 2, "{answered}");
+    // Under load alone the record shows the controller backwards as well as the process.
+    let refusals: Vec<NoRepair> = (0..3).filter_map(|seed| told(&recorded(&model, seed)).err()).collect();
+    assert!(refusals.len() == 3 && refusals.contains(&NoRepair::Untested), "{refusals:?}");
 }
 
 #[test]

@@ -174,6 +174,9 @@ fn what_to_do_is_the_bump_test_of_the_estimate_in_the_places_unit() {
         integrating: false,
         mse: 1e-4,
         fit_pct: 95.0,
+        tested: true,
+        gain_interval: None,
+        dead_time_interval_s: None,
     };
     (a.j, a.pv_span, a.process) = (Some(1.0), Some(4.0), Some(lag));
     let raised = alarm.window("L", &a, &params).unwrap();

@@ -80,7 +80,7 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
         rows.add("index", number(Some(index)));
     }
     if let Some(p) = &a.process {
-        rows.add("process", process(p));
+        rows.add("process", process(p, a.window.ts_s));
     }
     if let Some(least) = a.s_detectable {
         rows.add("detectable", format!("s of {} or more", Scale::of(a).told(least)));
@@ -101,13 +101,21 @@ fn bands(a: &Assessment, rows: &mut Rows) {
     let number = |band: Option<f64>| number(band.map(|band| scale.value(band)));
     let law = a.valve_model.map_or_else(String::new, |law| format!(", {}", law.words()));
     rows.add("bands", format!("fs {}  fd {}  ({}{law})", number(a.fs), number(a.fd), scale.unit()));
-    let reached = if words::at_bound(a) { " (bound reached: at least the lower end of its interval)" } else { "" };
     let share = a.s_over_span.map_or_else(|| "-".to_owned(), units::number);
-    rows.add("", format!("s {}  j {}  s/span {share}{reached}", number(a.s), number(a.j)));
+    rows.add("", format!("s {}  j {}  s/span {share}", number(a.s), number(a.j)));
+    if a.s_thirds.len() > 1 {
+        let thirds: Vec<String> = a.s_thirds.iter().map(|s| number(Some(*s))).collect();
+        rows.add("", format!("s of parts of the window: {}", thirds.join(", ")));
+    }
     for (name, interval) in [("s", a.s_interval), ("j", a.j_interval), ("fs", a.fs_interval), ("fd", a.fd_interval)] {
         if let Some([low, high]) = interval {
             let open = if name == "j" && a.j_identifiable == Some(false) { " (not identifiable)" } else { "" };
-            rows.add("90 %", format!("{name} {} to {}{open}", number(Some(low)), number(Some(high))));
+            let upper = if name == "s" && words::at_bound(a) {
+                "or more".to_owned()
+            } else {
+                format!("to {}", number(Some(high)))
+            };
+            rows.add("90 %", format!("{name} {} {upper}{open}", number(Some(low))));
         }
     }
     let class = a.severity_by_range.map(|size| format!("{}, relative to travel", size.name()));
@@ -115,19 +123,37 @@ fn bands(a: &Assessment, rows: &mut Rows) {
     rows.add("class", [class, region].into_iter().flatten().collect::<Vec<_>>().join(", "));
 }
 
-fn process(p: &Process) -> String {
+/// Time constants that hardly differ, up to so many samples: what they are together is known, not the order.
+const ALIKE: f64 = 1.3;
+const SHORT: f64 = 5.0;
+
+/// A tested model with its intervals; of one that was not, only that.
+fn process(p: &Process, ts_s: f64) -> String {
+    if !p.tested {
+        return "not given: the record does not test a model (nothing but the controller moves OP, or the model does not hold in the \
+                rest of the record)"
+            .to_owned();
+    }
     let lags: Vec<String> = p.time_constants_s.iter().map(|t| duration(*t)).collect();
-    let lags = match lags.len() {
-        0 => "no time constant".to_owned(),
-        1 => format!("time constant {}", lags[0]),
+    let lags = match p.time_constants_s[..] {
+        [] => "no time constant".to_owned(),
+        [_] => format!("time constant {}", lags[0]),
+        [a, b, ..] if a <= ALIKE * b && a <= SHORT * ts_s => {
+            format!("time constants of about {} together, order not identifiable", duration((a + b).round().max(a)))
+        }
         _ => format!("time constants {}", lags.join(" and ")),
     };
-    let kind = if p.integrating { "integrating" } else { "self-regulating" };
+    let within = |interval: Option<[f64; 2]>, said: fn(f64) -> String| {
+        interval.map_or_else(String::new, |[low, high]| format!(" ({} to {})", said(low), said(high)))
+    };
     format!(
-        "order {} {kind}: gain {}, {lags}, dead time {}, fit {:.1} %",
+        "order {} {}: gain {}{}, {lags}, dead time {}{}, fit {:.1} %",
         p.order,
+        if p.integrating { "integrating" } else { "self-regulating" },
         units::number(p.gain),
+        within(p.gain_interval, units::number),
         duration(p.dead_time_s),
+        within(p.dead_time_interval_s, duration),
         p.fit_pct
     )
 }
@@ -217,4 +243,34 @@ fn said(answer: &Answer, explain: bool) -> String {
 /// A mean squared error with digits enough to compare two models.
 fn mean_square(value: f64) -> String {
     significant(value, 5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_is_shown_where_it_was_tested_with_no_more_than_is_known() {
+        let mut model = Process {
+            order: 2,
+            gain: 1.5,
+            time_constants_s: vec![2.67, 2.53],
+            dead_time_s: 4.0,
+            integrating: false,
+            mse: 0.1,
+            fit_pct: 80.0,
+            tested: true,
+            gain_interval: Some([1.2, 1.8]),
+            dead_time_interval_s: None,
+        };
+        let said = process(&model, 1.0);
+        assert!(said.contains("gain 1.5 (1.2 to 1.8)") && said.contains("about 5"), "{said}");
+        assert!(
+            said.contains("order not identifiable") && !process(&model, 0.1).contains("not identifiable"),
+            "{said}"
+        );
+        model.tested = false;
+        let said = process(&model, 1.0);
+        assert!(said.starts_with("not given") && !said.contains("1.5"), "{said}");
+    }
 }

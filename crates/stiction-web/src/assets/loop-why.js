@@ -33,12 +33,13 @@ function model(e, row) {
   const item = (term, value) => h("div", null, h("dt", null, term), h("dd", null, value));
   const c = e.controller;
   return [h("h3", null, "Model"), h("dl", { class: "facts" },
+    ...(p.tested === false ? [item("Process", "not given: the record does not test a model")] : [
     item("Process", `order ${p.order}${p.integrating ? ", integrating" : ""}`),
     item("Gain", `${format.number(p.gain)} ${pv} per ${op}${p.integrating ? " and second" : ""}`),
     item("Time constants", p.time_constants_s.map((t) => format.duration(t)).join(", ") || "none"),
     item("Dead time", format.duration(p.dead_time_s)),
-    item("Fit", `${format.number(p.fit_pct)} % of PV’s movement`),
-    c ? item("Controller", `gain ${format.number(c.kc)}, integral time ${c.ti_s === null ? "none" : format.duration(c.ti_s)}${c.td_s ? `, derivative time ${format.duration(c.td_s)}` : ""}`) : null,
+    item("Fit", `${format.number(p.fit_pct)} % of PV’s movement`)]),
+    c ? item("Controller", `gain ${format.number(c.kc)}, ${c.ti_s === null ? "no integral action seen" : `integral time ${format.duration(c.ti_s)}`}${c.td_s ? `, derivative time ${format.duration(c.td_s)}` : ""}`) : null,
     c ? item("Read from the record", `explains ${format.percent(c.r2)} of OP’s moves`) : null)];
 }
 

@@ -33,6 +33,7 @@ function rows(format, units) {
   const [op] = units;
   const n = format.number;
   const process = (d, of) => (d.process ? of(d.process) : "–");
+  const tested = (d, of) => (d.process?.tested === false ? "not tested by this record" : process(d, of));
   const map = (d, maps, of) => {
     const own = maps.find((m) => m.order === d.process?.order);
     return own ? of(own) : null;
@@ -53,9 +54,9 @@ function rows(format, units) {
     ["Period", "", (d) => (d.oscillation.period_s === null ? "–" : `${format.duration(d.oscillation.period_s)}, ${n(d.oscillation.periods)} of them`)],
     ["Fit", "share of PV's deviation, free run", (d) => process(d, (p) => `${n(p.fit_pct)} %`)],
     ["Mean squared error", "free run", (d) => process(d, (p) => n(p.mse))],
-    ["Gain", "", (d) => process(d, (p) => n(p.gain))],
-    ["Time constants", "", (d) => process(d, (p) => (p.time_constants_s.length ? p.time_constants_s.map((t) => format.duration(t)).join(", ") : "none"))],
-    ["Dead time", "", (d) => process(d, (p) => format.duration(p.dead_time_s))],
+    ["Gain", "", (d) => tested(d, (p) => n(p.gain))],
+    ["Time constants", "", (d) => tested(d, (p) => (p.time_constants_s.length ? p.time_constants_s.map((t) => format.duration(t)).join(", ") : "none"))],
+    ["Dead time", "", (d) => tested(d, (p) => format.duration(p.dead_time_s))],
     ["Valve law", "", (d) => d.valve_model ?? "–"],
     ["Gates", "", (d) => (d.gates.length ? d.gates.map((g) => g.replaceAll("_", " ")).join(", ") : "none")],
     ["Elapsed", "", (d) => `${format.integer(d.elapsed_ms)} ms`],

@@ -255,6 +255,18 @@ pub(crate) fn held_out(evaluator: &mut Evaluator<'_>, rho: f64, of: &Candidate) 
     later.iter().map(|e| e * e).sum::<f64>() / later.len().max(1) as f64
 }
 
+/// The same over what PV has there without any model.
+#[must_use]
+pub(crate) fn held_out_share(evaluator: &mut Evaluator<'_>, rho: f64, of: &Candidate) -> f64 {
+    let error = held_out(evaluator, rho, of);
+    let from = evaluator.problem.normalised.from.max(1);
+    let later = from + (FITTED_SHARE * (evaluator.points - from) as f64) as usize;
+    let pv = evaluator.problem.pv();
+    let moved: Vec<f64> = pv[later.min(pv.len())..].windows(2).map(|w| w[1] - rho * w[0]).collect();
+    let deviation = stats::std_dev(&moved);
+    error / (deviation * deviation)
+}
+
 /// The view that an answer was fitted to.
 #[must_use]
 pub(crate) fn view_of(search: &mut Search<'_, '_>, answer: &Answer) -> View {

@@ -17,7 +17,7 @@ use crate::ident::evaluator::View;
 use crate::ident::normalised::Start;
 use crate::ident::random::{moved, normal, seeded_rng, uniform};
 use crate::ident::residual::{Whiteness, whiteness};
-use crate::ident::width::{Spread, hull};
+use crate::ident::width::{Spread, THIRDS, hull};
 use crate::optim::local::on_triangle;
 use crate::signal::stats;
 use rand_chacha::ChaCha8Rng;
@@ -119,6 +119,7 @@ pub(crate) fn spread(
         quantum: quantum(path),
         index,
         distinct: false,
+        thirds: [None; THIRDS],
     };
     Some(Found { spread, best: top, process: looking.process, band_error: looking.band_error() })
 }

@@ -22,3 +22,4 @@ pub(crate) mod rivals;
 pub(crate) mod scan;
 pub(crate) mod settings;
 pub(crate) mod stages;
+pub(crate) mod thirds;
