@@ -38,7 +38,7 @@ impl Action {
             deadband: a.verdict == Verdict::Deadband,
             open: a.j_identifiable == Some(false),
             confirm: bump_test::bump_test(a).map_or_else(Confirm::Otherwise, Confirm::Bump),
-            position: a.valve_position,
+            position: a.valve_position.filter(|position| position.hysteresis.is_some()),
         })
     }
 
@@ -182,7 +182,7 @@ mod tests {
             let text = Action { deadband: true, open, confirm: refused, position: None }.alone("%");
             assert!(text.contains("No bump test is proposed") && !text.contains("by the bump test"), "{text}");
             assert!(text.contains("linkage") && text.contains("packing") == open, "{text}");
-            let position = Some(ValvePosition { hysteresis: 1.25, halves: None });
+            let position = Some(ValvePosition { hysteresis: Some(1.25), halves: None });
             let text = Action { deadband: true, open, confirm: refused, position }.alone("%");
             assert!(text.contains("hysteresis 1.25 OP units") && !text.contains("trend the position"), "{text}");
         }

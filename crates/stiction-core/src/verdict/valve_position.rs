@@ -20,31 +20,38 @@ const EXPLAINED: f64 = 0.5;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ValvePosition {
-    /// Its width: how far OP goes after a reversal before the valve follows, OP units.
-    pub hysteresis: f64,
+    /// Its width: how far OP goes after a reversal before the valve follows, OP units; `None` where the position moves too
+    /// seldom or too fast, or does not follow OP.
+    pub hysteresis: Option<f64>,
     /// The same in each half of the record; `None` where a half has too few moves.
     pub halves: Option<[f64; 2]>,
 }
 
 impl ValvePosition {
-    /// Of a record; `None` where no position is recorded, it moves too seldom, or it does not follow OP.
+    /// Of a record; `None` where no position is recorded.
     #[must_use]
     pub(crate) fn of(record: &Record) -> Option<Self> {
         let mv = record.mv.as_deref().filter(|mv| mv.len() == record.len() && stats::span(mv).is_normal())?;
         let op = record.op();
-        let hysteresis = width(&op, mv)?;
+        let hysteresis = width(&op, mv);
         let half = op.len() / 2;
         let halves = width(&op[..half], &mv[..half]).zip(width(&op[half..], &mv[half..]));
-        Some(Self { hysteresis, halves: halves.map(|(first, second)| [first, second]) })
+        let halves = halves.filter(|_| hysteresis.is_some()).map(|(first, second)| [first, second]);
+        Some(Self { hysteresis, halves })
     }
 
     /// In words, without a full stop.
     #[must_use]
     pub fn words(&self) -> String {
+        let Some(width) = self.hysteresis else {
+            return "the recorded valve position shows no hysteresis that can be measured here: it moves too seldom or too \
+                    fast, or does not follow OP"
+                .to_owned();
+        };
         let halves = self.halves.map_or_else(String::new, |[first, second]| {
             format!(" ({} and {} in the halves of the record)", number(first), number(second))
         });
-        format!("measured OP-to-MV hysteresis {} OP units{halves}", number(self.hysteresis))
+        format!("measured OP-to-MV hysteresis {} OP units{halves}", number(width))
     }
 }
 
@@ -104,12 +111,15 @@ mod tests {
     fn the_width_is_that_of_the_bands_in_units_of_op_whatever_the_positions_units() {
         for (fs, fd) in [(1.5, 1.5), (2.0, 0.8)] {
             let found = ValvePosition::of(&recorded(fs, fd, 0.005)).unwrap();
-            assert!((found.hysteresis - (fs + fd)).abs() < 0.3, "{fs} {fd}: {found:?}");
+            assert!((found.hysteresis.unwrap() - (fs + fd)).abs() < 0.3, "{fs} {fd}: {found:?}");
             let [first, second] = found.halves.unwrap();
             assert!((first - second).abs() < 0.3, "{found:?}");
         }
         let healthy = ValvePosition::of(&recorded(0.0, 0.0, 0.005)).unwrap();
-        assert!(healthy.hysteresis < 0.1 && healthy.words().starts_with("measured OP-to-MV hysteresis"), "{healthy:?}");
+        assert!(
+            healthy.hysteresis.unwrap() < 0.1 && healthy.words().starts_with("measured OP-to-MV hysteresis"),
+            "{healthy:?}"
+        );
     }
 
     #[test]
@@ -117,6 +127,8 @@ mod tests {
         let resting = Record { mv: Some(vec![7.0; 2_000]), ..recorded(1.0, 1.0, 0.0) };
         let mut noise = Noise::new(4, 1);
         let other = Record { mv: Some((0..2_000).map(|_| noise.gaussian()).collect()), ..recorded(1.0, 1.0, 0.0) };
-        assert_eq!([resting, other].map(|record| ValvePosition::of(&record)), [None, None]);
+        assert_eq!(ValvePosition::of(&resting), None);
+        let found = ValvePosition::of(&other).unwrap();
+        assert!(found.hysteresis.is_none() && found.words().contains("shows no hysteresis"), "{found:?}");
     }
 }

@@ -232,7 +232,7 @@ fn what_is_recorded_is_said_and_not_asked_for() {
     "unknown".clone_into(&mut d.cause.id);
     d.next_test = None;
     assert!(summary(&d)[1].contains("valve position"));
-    d.valve = Some(sticking(Some(ValvePosition { hysteresis: 5.4, halves: None })));
+    d.valve = Some(sticking(Some(ValvePosition { hysteresis: Some(5.4), halves: None })));
     assert!(report(&d).contains("Measured OP-to-MV hysteresis 5.4 OP units."), "{}", report(&d));
     assert_eq!(summary(&d)[1], "Measure next: nothing.");
     let left = |asked: &str| beside_position(asked);
