@@ -197,7 +197,7 @@ pub(super) fn threads(
     let (mut keeper, mark) = (None, Mark::default());
     if is_kept {
         let stored = (restored.store, mark.clone());
-        let (started, keeping) = Keeper::start(recordings, prefix, stored, disk, faults.clone(), metrics.clone())?;
+        let (started, keeping) = Keeper::start(recordings, prefix, stored, disk.clone(), faults.clone(), metrics.clone())?;
         keeper = Some(started);
         threads.push(("state", keeping));
     }
@@ -216,7 +216,7 @@ pub(super) fn threads(
     };
     threads.push((shutdown::RETENTION, retention::start(parts, retention_stops)?));
     let mut outbox = None;
-    if let Some((started, keeping)) = Outbox::start(config, recordings, &mark, faults, metrics)? {
+    if let Some((started, keeping)) = Outbox::start(config, recordings, (disk, &mark), faults, metrics)? {
         outbox = Some(started);
         threads.push(("outbox", keeping));
     }

@@ -5,6 +5,7 @@
 //! which costs recordings, counted, never alarms or estimates. Loops are spread
 //! over files side by side, [`LOOPS_PER_FILE`] to a file; each such *shard* is a recording of its own.
 
+mod channels;
 mod progress;
 mod run;
 
@@ -16,6 +17,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender};
 
+use channels::Channels;
 pub use progress::Progress;
 pub use run::{Continued, RecordedConfig, RunInfo};
 use stiction_core::record::{Sample, Signal};
@@ -53,8 +55,10 @@ const RETRY: Duration = Duration::from_secs(5);
 const MAX_INDEX_BYTES: u64 = 64 << 20;
 
 /// Channels of an open file at which the next one is begun: loops come and go, and their channels stay. The rest is for
-/// what is on its way meanwhile.
+/// what the engine takes until then.
 const MANY_CHANNELS: usize = MAX_CHANNELS / 5 * 4;
+/// The same, as the file itself counts them, where that has not happened.
+const MOST_CHANNELS: usize = MAX_CHANNELS / 10 * 9;
 
 /// What the engine hands to the recorder.
 #[derive(Debug)]
@@ -131,6 +135,8 @@ pub struct Recorder {
     budget: Budget,
     /// Shards that want a new file.
     pub rotations: Receiver<usize>,
+    wanted: Sender<usize>,
+    channels: Channels,
     metrics: Arc<Metrics>,
     clock: Clock,
     /// The queue was full for long: nothing waits until it has drained.
@@ -181,7 +187,7 @@ impl Recorder {
             max_bytes: settings.max_bytes,
             max_age: Duration::from_secs_f64(settings.max_s),
             shards: Vec::new(),
-            wanted,
+            wanted: wanted.clone(),
             metrics: metrics.clone(),
             faults,
             lost: 0,
@@ -189,11 +195,15 @@ impl Recorder {
             progress: progress.clone(),
         };
         let budget = Budget::new(QUEUE_BYTES);
-        (Self { queue, budget, rotations, metrics, clock, overrun: false, progress, seen }, writer)
+        let (channels, overrun) = (Channels::default(), false);
+        (Self { queue, budget, rotations, wanted, channels, metrics, clock, overrun, progress, seen }, writer)
     }
 
     /// Hands one item over, waiting a little for a place.
     pub fn record(&mut self, item: Item) {
+        if let Some(shard) = self.channels.count(&item) {
+            let _ = self.wanted.send(shard);
+        }
         let mut left = self.put(item);
         if left.is_some() && !self.overrun {
             let until = self.clock.now() + PATIENCE;
@@ -409,7 +419,7 @@ impl Writer {
             *known = (name.clone(), topic_of());
         }
         let written = write(file, &known.1);
-        let has_many = file.channels() >= MANY_CHANNELS;
+        let has_many = file.channels() >= MOST_CHANNELS;
         match written {
             Ok(()) => {
                 shard.messages += 1;

@@ -27,7 +27,7 @@ const MAX_MESSAGE: usize = 4 << 20;
 /// How long a connection may take to say who it is, and how many may be at it. Those that say nothing keep others out, a
 /// place for the time: so it is short, and the places are many, within the descriptors of the unit.
 const ACCEPT_WITHIN: Duration = Duration::from_secs(1);
-const ACCEPTED: usize = 1000;
+const ACCEPTED: usize = 2000;
 
 /// What the encoding of a schema names as its own.
 const SCHEMA: &str = "https://json-schema.org/draft/2020-12/schema";

@@ -100,8 +100,8 @@ impl Keep {
     }
 
     fn write(&mut self, mut batch: Batch) {
-        // A folder that was taken away takes the store along.
-        if self.store.is_some() && !self.path.exists() {
+        // A folder that was taken away takes the store along; what is written then goes nowhere.
+        if self.store.as_ref().is_some_and(|store| !store.is_linked()) {
             self.store = None;
         }
         for letter in std::mem::take(&mut batch.letters) {

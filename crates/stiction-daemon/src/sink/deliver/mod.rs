@@ -26,7 +26,7 @@ use keep::Keep;
 use ledger::Ledger;
 use queue::Queue;
 use stiction_core::units::format_rfc3339;
-use stiction_files::disk::{Disk, SystemDisk};
+use stiction_files::disk::Disk;
 use stiction_monitor::alarm::AlarmDocument;
 use stiction_monitor::codec::topic::Kind;
 use stiction_monitor::config::{Config, Deliver};
@@ -168,14 +168,14 @@ impl Outbox {
     pub fn start(
         config: &Config,
         dir: &Path,
-        mark: &Mark,
+        (disk, mark): (Arc<dyn Disk>, &Mark),
         faults: &Arc<Faults>,
         metrics: &Arc<Metrics>,
     ) -> anyhow::Result<Option<(Self, JoinHandle<()>)>> {
         if config.deliver.is_empty() {
             return Ok(None);
         }
-        let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::system(), mark.clone());
+        let place = (disk, Clock::system(), mark.clone());
         let make = |d: &Deliver| {
             let entry = d.clone();
             Box::new(move || target(&entry)) as MakeTarget

@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use super::dead::DeadLetters;
 use super::*;
+use stiction_files::disk::SystemDisk;
 use stiction_files::store::StateStore;
 use stiction_monitor::alarm::{Alarm, LoopContext};
 
@@ -52,7 +53,9 @@ impl Running {
     fn start(dir: &Path, receivers: &str) -> Self {
         let (faults, metrics) = (Arc::new(Faults::default()), Arc::new(Metrics::default()));
         let (outbox, keeping) =
-            Outbox::start(&config(receivers), dir, &Mark::default(), &faults, &metrics).unwrap().unwrap();
+            Outbox::start(&config(receivers), dir, (Arc::new(SystemDisk), &Mark::default()), &faults, &metrics)
+                .unwrap()
+                .unwrap();
         Self { outbox: Some(outbox), keeping: Some(keeping), faults, metrics }
     }
 

@@ -177,22 +177,28 @@ fn loops_that_come_and_go_cost_a_new_file_and_a_file_that_is_full_goes_on_with_i
     let (metrics, faults) = (Arc::<Metrics>::default(), Arc::<Faults>::default());
     let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::standing(1_000_000_000));
     let (mut recorder, mut writer) = Recorder::pair(run(), config.recording, place, metrics.clone(), faults.clone());
-    let mut heard = |recorder: &mut Recorder, names: std::ops::Range<usize>| {
-        for k in names {
+    let names: Vec<Arc<str>> = (0..MAX_CHANNELS + 5).map(|k| format!("L{k}").into()).collect();
+    let heard = |recorder: &mut Recorder, some: std::ops::Range<usize>| {
+        for name in &names[some] {
             // One handle, which loop after loop has had.
             let sample = Sample { signal: Signal::Op, t_ns: 0, value: Value::number(1.0), quality: None };
-            recorder.record(Item::Raw { id, name: format!("L{k}").into(), sample, arrival_ns: 0 });
+            recorder.record(Item::Raw { id, name: name.clone(), sample, arrival_ns: 0 });
         }
-        writer.turn();
     };
     recorder.record(Item::Open { shard: 0, states: Vec::new() });
     heard(&mut recorder, 0..MANY_CHANNELS - 1);
     assert!(recorder.rotations.is_empty());
-    heard(&mut recorder, MANY_CHANNELS - 1..MAX_CHANNELS + 5);
+    // The engine knows before the disk has written any of it.
+    heard(&mut recorder, MANY_CHANNELS - 1..MANY_CHANNELS);
+    assert_eq!(recorder.rotations.try_iter().collect::<Vec<_>>(), [0]);
+    // It takes its time, and the file asks again.
+    heard(&mut recorder, MANY_CHANNELS..MAX_CHANNELS + 5);
+    writer.turn();
     assert_eq!((recorder.rotations.try_iter().collect::<Vec<_>>(), metrics.recording_lost.get()), (vec![0], 5));
     heard(&mut recorder, 0..3);
     recorder.record(Item::Open { shard: 0, states: Vec::new() });
     heard(&mut recorder, MAX_CHANNELS..MAX_CHANNELS + 5);
+    writer.turn();
     writer.finish();
     assert_eq!((metrics.recording_errors.get(), metrics.recording_lost.get()), (0, 5));
     assert_eq!((metrics.recorded.get(), faults.list().len()), (MAX_CHANNELS as u64 + 3 + 5, 0));
