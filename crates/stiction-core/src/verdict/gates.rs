@@ -256,10 +256,11 @@ mod tests {
         };
         let ramp = |k: usize| 5.0 + 0.1 * k as f64;
         assert_eq!(found(&|k| 0.02 * noise(k), &ramp), vec![Gate::NoResponse]);
-        // Held at the set point against a load that drifts; and proportional action, whose OP is an image of PV.
-        assert!(found(&|k| 2.5 + 0.02 * noise(k), &ramp).is_empty());
-        assert!(found(&|k| 1.0 + 1e-3 * k as f64, &|k| 50.0 - 0.1 * k as f64 + noise(k)).is_empty());
-        assert!(found(&|k| 0.02 * noise(k), &|k| 50.0 + noise(k + 7)).is_empty());
+        // Held at the set point against a load that drifts; proportional action, whose OP is an image of PV; an OP at rest.
+        let answers = |pv: &dyn Fn(usize) -> f64, op: &dyn Fn(usize) -> f64| !found(pv, op).contains(&Gate::NoResponse);
+        assert!(answers(&|k| 2.5 + 0.02 * noise(k), &ramp));
+        assert!(answers(&|k| 1.0 + 1e-3 * k as f64, &|k| 50.0 - 0.1 * k as f64 + noise(k)));
+        assert!(answers(&|k| 0.02 * noise(k), &|k| 50.0 + noise(k + 7)));
     }
 
     #[test]
