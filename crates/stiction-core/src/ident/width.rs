@@ -459,7 +459,7 @@ mod tests {
         let least = |whiteness, thirds| settings.least(&Spread { whiteness, thirds, ..spread() }, 4.0);
         let alone = least(whiteness, [None; THIRDS]);
         let alike = least(whiteness, [third(3.9), third(4.0), third(4.1)]);
-        let apart = least(whiteness, [third(2.5), third(4.0), third(6.0)]);
+        let apart = least(whiteness, [third(1.0), third(4.0), third(12.0)]);
         assert!((alone.s - settings.tinted.s).abs() < 1e-9);
         assert!(alike.s < alone.s && alone.s < apart.s && alike.s > 0.14, "{alike:?} {apart:?}");
         assert!(alike.j == alone.j && apart.j > alone.j && apart.fs > alone.fs);
