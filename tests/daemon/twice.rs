@@ -40,11 +40,13 @@ fn record(path: &Path) -> usize {
     let mut estimates = 0;
     let mut put = |file: &mut RecordingFile, events: &mut Vec<Event>| {
         for event in events.drain(..) {
-            if let Event::Estimate(_, document) = event {
-                let json = serde_json::to_vec(&document).unwrap();
-                file.write(&topic::result("p", "A", Kind::Estimate), Kind::Estimate, 0, 0, &json).unwrap();
-                estimates += 1;
-            }
+            let (kind, json) = match event {
+                Event::Estimate(_, document) => (Kind::Estimate, serde_json::to_vec(&document).unwrap()),
+                Event::State(_, document) => (Kind::State, serde_json::to_vec(&document).unwrap()),
+                _ => continue,
+            };
+            file.write(&topic::result("p", "A", kind), kind, 0, 0, &json).unwrap();
+            estimates += usize::from(kind == Kind::Estimate);
         }
     };
     for (place, request) in requests.iter().enumerate() {

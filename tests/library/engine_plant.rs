@@ -5,7 +5,7 @@ use stiction_core::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, 
 use stiction_core::record::{Sample, Signal, Value};
 use stiction_core::units::Moment;
 use stiction_core::verdict::rule::{Cuts, Opinion};
-use stiction_core::verdict::{Assessment, EstimateDocument, MemberJudgement, Oscillation, Verdict, Window};
+use stiction_core::verdict::{Assessment, CountedBy, EstimateDocument, MemberJudgement, Oscillation, Verdict, Window};
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, GroupStanding, LoopId};
@@ -38,6 +38,7 @@ fn sticking(end_ns: i64, period_s: f64) -> Assessment {
         p_stiction: Some(0.8),
         s: Some(2.0),
         grade: Some('B'),
+        counted_by: Some(CountedBy::Periods),
         explanation: Some(Opinion { base: 0.0, logit: (0.8_f64 / 0.2).ln(), cuts: Cuts { called: 0.5, alarm: 0.7 } }),
         ..found
     }

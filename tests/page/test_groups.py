@@ -43,7 +43,7 @@ def test_without_groups_the_view_says_what_that_means(plant, open_page):
 def test_a_card_names_the_source_and_what_a_masked_loop_needs(plant, open_page, axe_source):
     page = show(open_page, plant, [group()])
     card = page.locator("article.group")
-    expect(card.locator("h2")).to_have_text("FIC101 makes the oscillation, p 0.94")
+    expect(card.locator("h2")).to_have_text("FIC101 causes the oscillation, p 0.94")
     follower = card.locator("tbody tr").nth(1)
     expect(follower).to_contain_text("not cleared: judge again once FIC101 is repaired")
     expect(follower.locator("a")).to_have_text(NAME)
@@ -60,7 +60,7 @@ def test_other_sources_are_in_plain_words(plant, open_page):
     page = show(open_page, plant, [group("outside")])
     expect(page.locator("article h2")).to_contain_text("look upstream")
     page = show(open_page, plant, [group("cannot_tell", "Put FIC101 in manual.")])
-    expect(page.locator("article h2")).to_have_text("The windows do not show which loop makes the oscillation: FIC101 is the likeliest")
+    expect(page.locator("article h2")).to_have_text("The windows do not show which loop causes the oscillation: FIC101 is the likeliest")
     expect(page.locator("article .todo")).to_have_text("Next test: Put FIC101 in manual.")
 
 

@@ -77,7 +77,7 @@ fn a_plant_gives_its_groups_and_each_follower_its_source() {
 
     let text = stdout(&expect(0, &["analyze", path, "--plant"]));
     let name = source.as_str().unwrap();
-    for said in [format!("{name} makes the oscillation"), "% of its power; stiction p".to_owned()] {
+    for said in [format!("{name} causes the oscillation"), "% of its power; stiction p".to_owned()] {
         assert!(text.contains(&said), "{said:?} is not in\n{text}");
     }
 }

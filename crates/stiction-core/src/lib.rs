@@ -8,7 +8,7 @@
 //!
 //! | layer | modules |
 //! |---|---|
-//! | basics | [`units`] times, names, numbers · [`record`] samples, and the record of one estimate · [`guard`] what a test on a loop may ask |
+//! | basics | [`units`] times, names, numbers · [`people`] numbers that a person enters · [`record`] samples, and the record of one estimate · [`guard`] what a test on a loop may ask |
 //! | tools | [`signal`] joining, history, statistics · [`optim`] solvers |
 //! | physics | [`sim`] valve models, processes, controller, noise, closed loop: the only copy of each formula |
 //! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |

@@ -4,6 +4,7 @@
 //! before it had written all of them hides nothing of the run before. What cannot be read is put aside under another
 //! name, counted and named as a fault; the daemon starts whatever it finds.
 
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fs;
 use std::mem;
@@ -169,9 +170,9 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
     files.retain(|file| runs.include(file));
     if !is_whole {
         for (name, (memory, has_left)) in memories_in_recordings(&files, prefix) {
-            if !memories.contains_key(&name) {
-                left.extend(has_left.then(|| name.clone()));
-                memories.insert(name, memory);
+            if let Entry::Vacant(place) = memories.entry(name) {
+                left.extend(has_left.then(|| place.key().clone()));
+                place.insert(memory);
             }
         }
     }

@@ -197,7 +197,8 @@ pub(super) fn threads(
     let (mut keeper, mark) = (None, Mark::default());
     if is_kept {
         let stored = (restored.store, mark.clone());
-        let (started, keeping) = Keeper::start(recordings, prefix, stored, disk.clone(), faults.clone(), metrics.clone())?;
+        let (started, keeping) =
+            Keeper::start(recordings, prefix, stored, disk.clone(), faults.clone(), metrics.clone())?;
         keeper = Some(started);
         threads.push(("state", keeping));
     }

@@ -206,7 +206,7 @@ fn fit(rows: &[Row], ridge: f64, limit: f64) -> Option<Logit> {
     Some(standard.logit(&found))
 }
 
-/// A group of which one member, or none, makes the oscillation.
+/// A group of which one member, or none, causes the oscillation.
 struct Choice {
     /// Figures of each member.
     members: Vec<Vec<f64>>,

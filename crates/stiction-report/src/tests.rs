@@ -103,6 +103,6 @@ fn groups_are_cards_and_none_is_said() {
     assert!(page(&report).unwrap().contains("No loops share an oscillation"));
     report.groups = Some(vec![stiction_truth::fixture::group::driven_group(1, &["A", "<i>B</i>"])]);
     let html = page(&report).unwrap();
-    assert!(html.contains("A makes the oscillation of its group, p 0.90"));
+    assert!(html.contains("A causes the oscillation (p 0.90)"));
     assert!(html.contains("driven by A, p 0.90") && html.contains("#loop-1\">&lt;i&gt;B") && !html.contains("<i>B"));
 }

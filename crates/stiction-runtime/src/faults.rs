@@ -66,7 +66,7 @@ impl Faults {
     }
 }
 
-/// A message of a library without the places in its source, such as `at /home/x/src/link.rs:388.`: they help nobody who
+/// A message of a library without the places in its source, such as `at src/link.rs:388.`: they help nobody who
 /// reads it, and name folders of the machine that built the program.
 #[must_use]
 pub fn without_places(message: &str) -> String {

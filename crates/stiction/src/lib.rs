@@ -80,7 +80,7 @@
 //! println!("{}", valve.sentences.join(" "));
 //! ```
 //!
-//! # Which loop of a plant makes the oscillation?
+//! # Which loop of a plant causes the oscillation?
 //! ```
 //! use stiction::{AssessParams, PlantLoop, Record, assess, assess_plant, group_report};
 //!

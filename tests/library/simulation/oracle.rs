@@ -54,8 +54,11 @@ pub struct Oracle {
 
 /// What a window says by its published document, by the rule of the configuration.
 fn vote_of(document: &Value) -> (Option<char>, usize) {
-    let class = document["severity_by_range"].as_str().or(document["strength_by_span"].as_str()).unwrap_or("none");
-    let class = CLASSES.iter().position(|c| *c == class).map_or(0, |at| at + 1);
+    let rank =
+        |class: &Value| class.as_str().map(|name| CLASSES.iter().position(|c| *c == name).map_or(0, |at| at + 1));
+    // Without the valve's range a share of OP's span is no reason for the highest class.
+    let class = rank(&document["severity_by_range"]).or_else(|| rank(&document["strength_by_span"]).map(|c| c.min(2)));
+    let class = class.unwrap_or(0);
     let counts = document["counted_by"].is_string();
     let vote = match (document["stiction"].as_bool(), document["s"].as_f64()) {
         (None, _) => None,

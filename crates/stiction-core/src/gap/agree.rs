@@ -82,7 +82,7 @@ impl Known<'_> {
                 part.confirmed = part.confirmed.map(|was| was && confirmed);
             } else if self.is_same_place(part, effect) {
                 let shared = |name: &String| effect.parameters.contains_key(name);
-                let sizes = part.parameters.iter().filter(|(name, _)| shared(name) && is_size(name));
+                let sizes = part.parameters.iter().filter(|(name, q)| shared(name) && is_size(name, &q.unit));
                 let agrees = sizes.clone().all(|(name, q)| of_effect(name).is_some_and(|own| agree(own, q.value)));
                 part.confirmed = part.confirmed.map(|was| was && agrees);
                 part.parameters.clone_from(&effect.parameters);
@@ -122,7 +122,7 @@ impl Known<'_> {
             let at = home.iter().find_map(|id| kept.iter().position(|p| p.id == *id));
             if let Some(part) = at.and_then(|at| kept.get_mut(at)) {
                 part.share_pct += wave.share_pct;
-                part.sd = part.sd.hypot(wave.sd);
+                part.sd = libm::hypot(part.sd, wave.sd);
             } else {
                 kept.push(wave);
             }
@@ -145,7 +145,7 @@ impl Known<'_> {
         whole.share_pct = left;
         if let Some(own) = parts.iter_mut().find(|p| p.id == stiction::EFFECT.id) {
             own.share_pct += moved;
-            own.sd = own.sd.hypot(sd);
+            own.sd = libm::hypot(own.sd, sd);
             return;
         }
         let row = PartNote {
@@ -161,9 +161,9 @@ impl Known<'_> {
     }
 }
 
-/// Whether a parameter is a size rather than a place.
-fn is_size(name: &str) -> bool {
-    !["at", "from", "period", "straight", "by_level"].contains(&name)
+/// Whether a parameter is a size, not a time or a kind.
+fn is_size(name: &str, unit: &str) -> bool {
+    unit != "s" && !["straight", "by_level", "from_op", "p_value"].contains(&name)
 }
 
 /// Whether two sizes have one sign and are within a factor.

@@ -16,7 +16,7 @@ pub struct GroupDocument {
     pub schema: &'static str,
     /// Names of the loops, the likeliest source first; but a loop that is configured upstream of another member comes before it.
     pub members: Vec<String>,
-    /// What makes the oscillation.
+    /// What causes the oscillation.
     pub source: Source,
     /// Members that have one and the same record under several names, such as a file that was sent twice: no source is named
     /// then. Absent where there are none.
@@ -108,7 +108,7 @@ impl Source {
     }
 }
 
-/// A member that does not make the oscillation.
+/// A member that does not cause the oscillation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Follower {

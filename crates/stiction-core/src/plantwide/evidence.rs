@@ -1,4 +1,4 @@
-//! What says that a member of a group makes the oscillation: its own signs of stiction, and what its signals explain of the
+//! What says that a member of a group causes the oscillation: its own signs of stiction, and what its signals explain of the
 //! other loops beyond their own past.
 //!
 //! Everything is a gain of a linear prediction of PV: `ln(variance without / variance with)` some columns, less what as many

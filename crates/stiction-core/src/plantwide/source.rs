@@ -44,7 +44,7 @@ pub fn member_figures(figures: &[f64; Evidence::NAMES.len()], as_source: f64, be
 pub(super) struct Decision {
     /// Logit of each member as the source.
     pub logits: Vec<f64>,
-    /// Probability that each member makes the oscillation.
+    /// Probability that each member causes the oscillation.
     pub p_source: Vec<f64>,
     /// Probability that none does.
     pub p_outside: f64,

@@ -38,7 +38,7 @@ pub(super) fn source(decision: &Decision, evidence: &Evidence, name: &str, perio
     }
 }
 
-/// The figures that weigh most for (or, where nothing inside makes the oscillation, against) the likeliest member.
+/// The figures that weigh most for (or, where nothing inside causes the oscillation, against) the likeliest member.
 fn reasons(decision: &Decision, evidence: &Evidence, name: &str, against: bool) -> Vec<String> {
     let sign = if against { -1.0 } else { 1.0 };
     let mut parts: Vec<(f64, &str, bool)> = Vec::new();
@@ -134,15 +134,15 @@ pub fn headline(group: &GroupDocument) -> String {
         _ if !group.same_record.is_empty() => {
             format!("{} have the same record, so no source is named: check their keys", listed(&group.same_record))
         }
-        (SourceKind::Loop, Some(name)) => format!("{name} makes the oscillation (p {p})"),
+        (SourceKind::Loop, Some(name)) => format!("{name} causes the oscillation (p {p})"),
         (SourceKind::Outside, _) => {
             format!(
-                "none of these loops makes the oscillation (p {p}): look upstream for a common load or a loop that is not recorded"
+                "none of these loops causes the oscillation (p {p}): look upstream for a common load or a loop that is not recorded"
             )
         }
-        (SourceKind::Several, _) => format!("more than one of these loops may make the oscillation{likeliest}"),
+        (SourceKind::Several, _) => format!("more than one of these loops may cause the oscillation{likeliest}"),
         (SourceKind::Loop | SourceKind::CannotTell, _) => {
-            format!("the windows do not show which loop makes the oscillation{likeliest}")
+            format!("the windows do not show which loop causes the oscillation{likeliest}")
         }
     }
 }

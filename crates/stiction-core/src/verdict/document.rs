@@ -526,7 +526,7 @@ pub struct MemberJudgement {
     /// Its name.
     #[serde(rename = "loop")]
     pub loop_name: String,
-    /// Probability that the loop makes the oscillation.
+    /// Probability that the loop causes the oscillation.
     pub p_source: f64,
     /// Probability that its valve sticks, from the loop's own window alone.
     pub p_alone: Option<f64>,

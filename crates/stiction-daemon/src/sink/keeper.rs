@@ -354,7 +354,8 @@ mod tests {
     fn keeper(dir: &Path) -> (Keeper, JoinHandle<()>, Arc<Faults>) {
         let faults = Arc::new(Faults::default());
         let (keeper, thread) =
-            Keeper::start(dir, "p", (None, Mark::default()), Arc::new(SystemDisk), faults.clone(), Arc::default()).unwrap();
+            Keeper::start(dir, "p", (None, Mark::default()), Arc::new(SystemDisk), faults.clone(), Arc::default())
+                .unwrap();
         (keeper, thread, faults)
     }
 
@@ -439,7 +440,8 @@ mod tests {
         std::fs::create_dir(&place).unwrap();
         let disk = Arc::new(LockedDisk::new(SharedLock::new(Some(FolderLock::take(&place).unwrap()))));
         let faults = Arc::new(Faults::default());
-        let (keeper, thread) = Keeper::start(&place, "p", (None, Mark::default()), disk, faults.clone(), Arc::default()).unwrap();
+        let (keeper, thread) =
+            Keeper::start(&place, "p", (None, Mark::default()), disk, faults.clone(), Arc::default()).unwrap();
         asked(&keeper, "1").unwrap();
         std::fs::rename(&place, dir.path().join("moved")).unwrap();
         std::fs::create_dir(&place).unwrap();

@@ -142,7 +142,8 @@ fn what_a_repair_buys_is_foretold() {
     slow.print("PV's spread with half the gain");
     travel.print("travel repaired");
     turns.print("turns now");
-    assert!(5 * refused <= 2 * each, "{refused} of {each}");
+    // Where no stiction is found, or the model does not hold in the rest of the record, nothing is computed with it.
+    assert!(3 * refused <= 2 * each, "{refused} of {each}");
     for score in [&now, &fixed, &slow] {
         assert!(score.share() >= 0.75, "{}", score.share());
     }

@@ -181,7 +181,7 @@ fn what_to_do_is_the_bump_test_of_the_estimate_in_the_places_unit() {
     (a.j, a.pv_span, a.process) = (Some(1.0), Some(4.0), Some(lag));
     let raised = alarm.window("L", &a, &params).unwrap();
     let what = raised.at(&LoopContext { op_unit: Some("%".into()), ..LoopContext::default() }).what_to_do.unwrap();
-    assert!(what.contains("step OP by 0.5 % one way") && what.contains("packing"), "{what}");
+    assert!(what.contains("step OP by 0.6 % one way") && what.contains("packing"), "{what}");
     assert!(what.contains("PV moves by about 3 PV units") && !what.contains("No bump test"), "{what}");
     // A restart carries it over.
     let kept: Alarm = serde_json::from_str(&serde_json::to_string(&alarm).unwrap()).unwrap();

@@ -22,7 +22,7 @@ pub struct Membership {
     pub t_ms: f64,
     /// Names of the loops, the likeliest source first.
     pub members: Vec<String>,
-    /// The loop that makes the oscillation; null where none is named.
+    /// The loop that causes the oscillation; null where none is named.
     pub source: Option<String>,
 }
 

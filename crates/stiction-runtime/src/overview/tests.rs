@@ -139,7 +139,12 @@ fn the_cause_that_a_loop_shows_is_that_of_most_of_its_last_windows() {
     }
     // One window of another cause, or without an oscillation, does not change what is shown.
     let (ne107, shown) = status(6, Verdict::CauseUnknown);
-    assert!(ne107 == Some(Sign::OutOfSpecification) && shown.contains("its tuning") && shown.ends_with("(6 of the last 7 windows)"), "{shown}");
+    assert!(
+        ne107 == Some(Sign::OutOfSpecification)
+            && shown.contains("its tuning")
+            && shown.ends_with("(6 of the last 7 windows)"),
+        "{shown}"
+    );
     assert_eq!(status(7, Verdict::Stiction).1, "the valve sticks and slips; no alarm: the size is not known");
     for k in 8..12 {
         status(k, Verdict::NotOscillating);

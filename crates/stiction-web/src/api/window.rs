@@ -277,7 +277,8 @@ async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<R
             let warnings = alarm.iter().map(|alarm| alarm.line()).collect();
             let w = &estimated.document.assessment.window;
             let window = from_to(w.start_ns, w.end_ns);
-            let command = format!("evidence sheet of loop {name}, window {window}, written {}", format_rfc3339(now_ns()));
+            let command =
+                format!("evidence sheet of loop {name}, window {window}, written {}", format_rfc3339(now_ns()));
             let input = format!("live data of {prefix}");
             page(&Report { input, command, warnings, loops: vec![estimated.report(&name)], groups: None })
         })

@@ -8,23 +8,23 @@ import { on } from "./store.js";
 const link = (name) => h("a", { href: `#/loop/${encodeURIComponent(name)}` }, name);
 const repaired = (source) => (source.kind === "loop" ? `${source.loop} is repaired` : "the source is repaired");
 
-/** What makes the oscillation, in a sentence. */
+/** What causes the oscillation, in a sentence. */
 function headline(group) {
   const { source, same_record: twins } = group;
   if (twins?.length) return [twins.flatMap((name, k) => [k ? (k === twins.length - 1 ? " and " : ", ") : null, link(name)]), " have the same record, so no source is named: check their keys"];
   const p = format.probability(source.probability);
-  if (source.kind === "loop") return [link(source.loop), ` makes the oscillation, p ${p}`];
-  if (source.kind === "outside") return `None of these loops makes the oscillation, p ${p}: look upstream for a common load or a loop that is not recorded`;
+  if (source.kind === "loop") return [link(source.loop), ` causes the oscillation, p ${p}`];
+  if (source.kind === "outside") return `None of these loops causes the oscillation, p ${p}: look upstream for a common load or a loop that is not recorded`;
   const likeliest = source.loop ? [": ", link(source.loop), " is the likeliest"] : null;
-  if (source.kind === "several") return ["More than one of these loops may make the oscillation", likeliest];
-  return ["The windows do not show which loop makes the oscillation", likeliest];
+  if (source.kind === "several") return ["More than one of these loops may cause the oscillation", likeliest];
+  return ["The windows do not show which loop causes the oscillation", likeliest];
 }
 
 function member(judged, group) {
   const follower = group.followers.find((f) => f.loop === judged.loop);
   const p = (value) => (value === null ? "not judged" : `p ${format.probability(value)}`);
   return h("tr", null, h("th", { scope: "row" }, link(judged.loop)),
-    h("td", null, judged.cause ?? `${group.source.kind === "loop" && judged.loop === group.source.loop ? "makes the oscillation" : "may make it"}, p ${format.probability(judged.p_source)}`, judged.masked ? h("b", { class: "under-words" }, `not cleared: judge again once ${repaired(group.source)}`) : null),
+    h("td", null, judged.cause ?? `${group.source.kind === "loop" && judged.loop === group.source.loop ? "causes the oscillation" : "may make it"}, p ${format.probability(judged.p_source)}`, judged.masked ? h("b", { class: "under-words" }, `not cleared: judge again once ${repaired(group.source)}`) : null),
     h("td", { class: "number" }, follower ? format.duration(follower.lag_s) : "–"),
     h("td", { class: "number" }, follower ? format.percent(follower.share) : "–"),
     h("td", { class: "number" }, p(judged.p_stiction)), h("td", { class: "number" }, p(judged.p_alone)));

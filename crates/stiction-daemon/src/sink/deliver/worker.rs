@@ -19,10 +19,10 @@ const ATTEMPTS: u32 = 4;
 /// A document is given up that failed so often right after the receiver had taken another one, over so long: of several
 /// machines behind one address some may be down, or come back later than others.
 const PASSED: u32 = 4;
-const PASSED_FOR: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_mins(10) };
+const PASSED_FOR: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(600) };
 /// One beside which nothing else could be tried is given up after so many answers that refuse it, over a day.
 const REFUSED: u32 = if cfg!(test) { 20 } else { 1440 };
-const REFUSED_FOR: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_hours(24) };
+const REFUSED_FOR: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(86_400) };
 
 /// Makes what sends to a receiver; nothing is connected yet.
 pub type MakeTarget = Box<dyn Fn() -> anyhow::Result<Box<dyn Target>> + Send>;

@@ -161,8 +161,7 @@ fn what_a_query_brings_along_does_not_wait_with_it() {
     }
     let session = zenoh::open(settings).wait().unwrap();
     let (pending, waiting) = unbounded();
-    let replies =
-        Replies::start(Askers::new(&Commands::default()), LastValues::default(), Arc::default()).unwrap();
+    let replies = Replies::start(Askers::new(&Commands::default()), LastValues::default(), Arc::default()).unwrap();
     let budget = replies.budgets[0].clone();
     let admit = move |query| pending.send(replies.admit(query)).unwrap();
     let _queryable = session.declare_queryable("p/x").callback(admit).wait().unwrap();
