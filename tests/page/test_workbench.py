@@ -144,7 +144,7 @@ def errors_and_maps_are_explained(result, page, found):
         shown = result.get_by_role("row").filter(has_text=name).get_by_role("cell").first.inner_text()
         assert [float(v) for v in re.findall(r"[\d.]+", shown)] == pytest.approx(values, rel=0.01), (name, shown)
     # Values under the pointer.
-    figure = result.locator("figure").filter(has_text="Error map, order 1.")
+    figure = result.locator("figure").filter(has_text="Error map, He's law, order 1.")
     figure.scroll_into_view_if_needed()
     picture = figure.get_by_role("img")
     picture.scroll_into_view_if_needed()

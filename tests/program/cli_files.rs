@@ -293,7 +293,9 @@ fn evaluate_judges_simulated_loops_and_compares_methods() {
         assert!(simulated.contains(part), "{part}: {simulated}");
     }
     let json = stdout(&expect(0, &["evaluate", "--simulated", "4", "--seed", "5", "--format", "json"]));
-    let document: serde_json::Value = serde_json::from_str(json.trim()).unwrap();
+    let lines: Vec<serde_json::Value> = json.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let (document, cases) = lines.split_last().unwrap();
+    assert_eq!(cases.iter().filter(|case| case["sticks"] == true).count(), 2);
     for decision in document["decisions"].as_array().unwrap() {
         assert_eq!((&decision["sticking"], &decision["healthy"]), (&2.into(), &2.into()), "{document}");
     }

@@ -236,7 +236,7 @@ fn a_jobs_numbers_report_and_text_are_those_of_the_command_it_tells() {
         );
         let titles: Vec<&str> =
             result["pictures"].as_array().unwrap().iter().map(|p| p["title"].as_str().unwrap()).collect();
-        for title in ["Trends", "Error map, order 1", "Error map, order 2"] {
+        for title in ["Trends", "Error map, He's law, order 1", "Error map, He's law, order 2"] {
             assert!(titles.contains(&title), "{titles:?}");
         }
         let picture = bench.get(result["pictures"][1]["url"].as_str().unwrap());
