@@ -22,7 +22,14 @@ fn a_page_and_a_sheet_are_written_and_never_overwritten_unasked() {
     let documents = String::from_utf8(output.stdout).unwrap();
     assert!(documents.lines().count() == 1 && documents.starts_with('{'), "{documents}");
     let html = fs::read_to_string(&page).unwrap();
-    for part in ["FIC101", "% of travel", "Bump test", "Error map, He's law, order 1", "Error map, He's law, order 2", "Histogram of fd"] {
+    for part in [
+        "FIC101",
+        "% of travel",
+        "Bump test",
+        "Error map, He's law, order 1",
+        "Error map, He's law, order 2",
+        "Histogram of fd",
+    ] {
         assert!(html.contains(part), "{part}");
     }
     for part in ["Loop diagram", "Phase plot, shifted", "Decision chart", "Indicators", "stictiond analyze recordings/"]

@@ -236,8 +236,11 @@ fn a_jobs_numbers_report_and_text_are_those_of_the_command_it_tells() {
         );
         let titles: Vec<&str> =
             result["pictures"].as_array().unwrap().iter().map(|p| p["title"].as_str().unwrap()).collect();
-        for title in ["Trends", "Error map, He's law, order 1", "Error map, He's law, order 2"] {
-            assert!(titles.contains(&title), "{titles:?}");
+        assert!(titles.contains(&"Trends"), "{titles:?}");
+        for order in [1, 2] {
+            let is_map =
+                |title: &&str| title.starts_with("Error map, ") && title.ends_with(&format!("law, order {order}"));
+            assert!(titles.iter().any(is_map), "{titles:?}");
         }
         let picture = bench.get(result["pictures"][1]["url"].as_str().unwrap());
         assert!(
