@@ -12,9 +12,10 @@ from daemon import eventually
 # What the demo simulates: the tile that a loop ends up as, and the chip that its verdict counts under.
 TRUTH = {
     "FIC101": ("maintenance required", "sticks"),
-    "TIC102": ("OK", "steady"),
-    "PIC103": ("out of specification", "tuning"),
-    "FIC104": ("out of specification", "disturbed"),
+    "TIC102": ("nothing found", "steady"),
+    # A cause is a hint: it is shown once most of the last windows name it.
+    "PIC103": ("out of specification", "tuning|oscillates"),
+    "FIC104": ("out of specification", "disturbed|oscillates"),
 }
 VIEWS = {"overview": "", "loop": "#/loop/FIC101", "alarms": "#/alarms", "plant": "#/groups", "workbench": "#/workbench"}
 WIDTHS = (390, 820, 1400)
@@ -34,10 +35,13 @@ def test_the_four_loops_have_the_right_verdicts_within_a_minute(demo, open_page)
     page.get_by_label("Find").fill("10")
     verdicts = page.get_by_role("group", name="Filter by verdict")
     for name, (status, chip) in TRUTH.items():
-        pressed = verdicts.get_by_role("button", name=re.compile(f"^{chip}"))
-        pressed.click()
-        expect(tile(page, name, "")).to_be_visible()
-        pressed.click()
+        shown = []
+        for pressed in verdicts.get_by_role("button", name=re.compile(f"^({chip})")).all():
+            if pressed.is_enabled():
+                pressed.click()
+                shown.append(tile(page, name, "").is_visible())
+                pressed.click()
+        assert shown.count(True) == 1, (name, shown)
     expect(page.get_by_role("heading", level=1)).to_contain_text("1 of 4 valves needs maintenance: FIC101")
     row = next(r for r in api(demo, "/loops")["loops"] if r["name"] == "FIC101")
     assert row["s_interval"][0] < 7.0 < row["s_interval"][1], row

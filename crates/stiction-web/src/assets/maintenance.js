@@ -32,8 +32,10 @@ function entry(item) {
   const texts = h("div", { class: "work-texts" }, line("Do", item.what_to_do), line("Why", item.why), line("How sure", item.sure));
   const more = h("button", { class: "button quiet", type: "button", "aria-expanded": "false", "aria-label": `Details of ${item.loop}`, onclick: () => {
     below.hidden = !below.hidden;
+    const words = below.hidden ? "Details" : "Less";
     more.setAttribute("aria-expanded", String(!below.hidden));
-    fill(more, below.hidden ? "Details" : "Less");
+    more.setAttribute("aria-label", `${words} of ${item.loop}`);
+    fill(more, words);
   } }, "Details");
   const cell = (k, ...inside) => h("td", { "data-label": COLUMNS[k] }, inside);
   const below = h("tr", { class: "work-more", hidden: true }, h("td", { colspan: String(COLUMNS.length) }, texts));
