@@ -1,19 +1,21 @@
 #!/usr/bin/env bash
 # Runs the commands at the head of docs/results/NAME.txt again and keeps what the last of them prints. The pages quote these
-# files, and a test compares them. INDEX.csv is that of the labelled recordings. Tags of plants become numbers.
+# files, and a test compares them. INDEX.csv is that of the labelled recordings.
 #
 #   bash tests/results.sh INDEX.csv NAME...
 set -euo pipefail
 
+# A plant's tag becomes the number of its place among all tags of the index; columns keep their places.
 neutral() {
     python3 -c '
 import re, sys
+TAG = r"plant/(\S*?[A-Z]{2,}\d+[A-Z]?)(?=_\d)"
 text = sys.stdin.read()
-for number, tag in enumerate(sorted(set(re.findall(r"plant/(\S*?FIC\d+)", text))), 1):
+for number, tag in enumerate(sorted(set(re.findall(TAG, open(sys.argv[1]).read()))), 1):
     name = f"valve-{number}"
-    spaces = " " * (len(tag) - len(name))
-    text = re.sub(rf"(plant/){re.escape(tag)}(\S*)", lambda m: m[1] + name + m[2] + spaces, text)
-sys.stdout.write(text)'
+    spaces = " " * max(0, len(tag) - len(name))
+    text = re.sub(rf"(plant/){re.escape(tag)}(?=_\d)(\S*)", lambda m: m[1] + name + m[2] + spaces, text)
+sys.stdout.write(text)' "$1"
 }
 
 index=$1
@@ -27,7 +29,7 @@ for name in "$@"; do
             read -r -a words <<< "${line//INDEX.csv/$index}"
             printed=$("${words[@]}")
         done <<< "$commands"
-        printf '%s\n' "$printed" | neutral
+        printf '%s\n' "$printed" | neutral "$index"
     } > "$file.new"
     mv "$file.new" "$file"
 done

@@ -1,6 +1,7 @@
 //! The daemon at its process boundary: played data in, recordings out, restarts, and ends in order.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -29,9 +30,14 @@ fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
         .iter()
         .map(|f| data.join(format!("{f}.csv")))
         .collect();
-    let sticky = fs::read_dir(data.join("plant")).unwrap().flatten().map(|e| e.path());
-    let mut sticky: Vec<PathBuf> = sticky.filter(|p| p.to_str().unwrap().contains("FIC20102")).collect();
-    sticky.sort();
+    // Four recordings of the sticking valve that has the most.
+    let mut of_valve: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
+    for row in csv::Reader::from_path(data.join("INDEX.csv")).unwrap().records().flatten() {
+        if row[0].starts_with("plant/") && &row[6] == "stiction" {
+            of_valve.entry(row[1].to_owned()).or_default().push(data.join(&row[0]));
+        }
+    }
+    let sticky = of_valve.into_values().max_by_key(Vec::len).unwrap();
     inputs.extend(sticky.into_iter().take(4));
     // Twelve hours of a week-long recording.
     let stretch = fs::read_to_string(data.join("longrun/LIC-106.csv")).unwrap();

@@ -9,12 +9,12 @@ pub const SHIFT_S: f64 = 8.0 * 3_600.0;
 /// How far a test may move PV, in spans of PV in the record.
 pub const PV_SPANS: f64 = 2.0;
 
-/// PV has moved when its mean has changed by so many standard errors of what a model leaves of it, and samples of a mean that
-/// count as independent at most: what a model leaves is not white.
+/// PV counts as moved when its mean changes by this many standard errors of the model's residual.
 const ERRORS: f64 = 4.0;
+/// Most samples of a mean that count as independent, because the residual is not white.
 pub(crate) const INDEPENDENT: f64 = 9.0;
 
-/// What PV has to move by to be seen in a mean of so many samples beside what a model leaves of it, a mean square.
+/// Smallest move of PV that a mean of `samples` shows above a residual with mean square `mse`, PV units.
 #[must_use]
 pub(crate) fn hidden_below(mse: f64, samples: f64) -> f64 {
     ERRORS * (2.0 * mse / samples.clamp(1.0, INDEPENDENT)).sqrt()

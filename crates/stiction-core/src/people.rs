@@ -5,7 +5,7 @@ use crate::units::significant;
 
 /// Digits that a person needs.
 const DIGITS: usize = 2;
-/// Times up to this are told in steps of [`GRID_S`], s.
+/// Shorter times are rounded to [`GRID_S`], longer ones to two digits, s.
 const SHORT_S: f64 = 120.0;
 /// What a person can count off a clock, s.
 const GRID_S: f64 = 5.0;

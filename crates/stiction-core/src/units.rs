@@ -367,7 +367,7 @@ mod tests {
         for (tag, kind) in [
             ("FIC101", LoopKind::Flow),
             ("10FIC2101_0001", LoopKind::Flow),
-            ("AREA.70-3_LIC11502", LoopKind::Level),
+            ("AREA.7-3_LIC101", LoopKind::Level),
             ("PDIC-7", LoopKind::Pressure),
             ("tc1", LoopKind::Temperature),
             ("AIC3", LoopKind::Analysis),

@@ -15,7 +15,7 @@ use crate::units::{duration, number, probability};
 pub use budget::{BudgetText, PartText, budget, tellable};
 use claim::Claim;
 
-/// The title of a diagnosis: what `analyze` says of the valve, with its size; without that the answer on the gap.
+/// The title of a diagnosis: the valve's verdict and size, or the answer on the gap where the valve was not judged.
 #[must_use]
 pub fn title(d: &GapDocument) -> String {
     let alone = || format!("{} (p {})", answer(d), probability(d.cause.probability));

@@ -31,7 +31,7 @@ pub(super) fn shape_faults(text: &str) -> Vec<String> {
     found.into_iter().map(|(line, message)| format!("line {line}: {message}")).collect()
 }
 
-/// Takes the innermost entry out that stands at a place; gives its name.
+/// Removes the innermost entry at this byte, so that the next fault shows, and returns its name.
 fn take_out(table: &mut DeTable<'_>, at: usize) -> Option<String> {
     if let Some(name) = table.iter_mut().find_map(|(_, value)| take_out_of(value, at)) {
         return Some(name);

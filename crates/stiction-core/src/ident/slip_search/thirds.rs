@@ -1,7 +1,7 @@
-//! What each third of the record says by itself: bands and process looked for anew, near the answer, by the error of that third
-//! alone. The valve runs from the record's beginning, so that its stem is where the whole record says.
+//! Refits bands and process to each third of the record, starting near the answer. The valve is simulated from the record's
+//! beginning, because where the stem stands depends on everything before.
 //!
-//! A valve has one size within a window. How far its thirds lie apart holds what no likelihood of one model knows: a stem that
+//! A valve has one size within a window, so the spread of the thirds measures what one model's likelihood cannot: a stem that
 //! does not follow the law, a load, a process that changes with the operating point.
 
 use super::candidate::{Candidate, apart};
@@ -12,10 +12,11 @@ use crate::ident::random::seeded_rng;
 use crate::ident::width::{THIRDS, Third};
 use rand_chacha::ChaCha8Rng;
 
-/// Other sizes from which a third is looked into: as far as this in the logarithm of s, so many to either side.
+/// A third's search also starts from sizes up to this far from the answer, in ln s.
 const REACH: f64 = 0.7;
+/// Such starts on either side.
 const SIZES: i32 = 7;
-/// Rivals of the answer from which it is looked into as well.
+/// Rivals of the answer that it also starts from.
 const RIVALS: usize = 6;
 /// Error over the best up to which a place is refined, places followed, random steps from each, rounds through neighbours.
 const WORTH: f64 = 1.1;
