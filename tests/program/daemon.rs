@@ -37,7 +37,8 @@ fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
             of_valve.entry(row[1].to_owned()).or_default().push(data.join(&row[0]));
         }
     }
-    let sticky = of_valve.into_values().max_by_key(Vec::len).unwrap();
+    let mut sticky = of_valve.into_values().max_by_key(Vec::len).unwrap();
+    sticky.sort();
     inputs.extend(sticky.into_iter().take(4));
     // Twelve hours of a week-long recording.
     let stretch = fs::read_to_string(data.join("longrun/LIC-106.csv")).unwrap();
