@@ -34,7 +34,9 @@ fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
     let mut of_valve: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
     for row in csv::Reader::from_path(data.join("INDEX.csv")).unwrap().records().flatten() {
         if row[0].starts_with("plant/") && &row[6] == "stiction" {
-            of_valve.entry(row[1].to_owned()).or_default().push(data.join(&row[0]));
+            // A name ends in the day and the time of the recording.
+            let valve = row[0].rsplitn(3, '_').last().unwrap_or_default().to_owned();
+            of_valve.entry(valve).or_default().push(data.join(&row[0]));
         }
     }
     let mut sticky = of_valve.into_values().max_by_key(Vec::len).unwrap();
