@@ -199,8 +199,10 @@ impl Live {
         let none = || ApiError::not_found(format!("{name}: no window has been answered yet"));
         let document = newest.estimate.ok_or_else(none)?;
         let looked = self.request_window(name, Some(document.assessment.window.end_ns)).await?;
+        let start_ns = document.assessment.window.start_ns;
         let gone = || ApiError::not_found(format!("{name}: the samples of its newest estimate are no longer held"));
-        let record = looked.record.ok_or_else(gone)?;
+        // Where a loop's past comes in at once, the history goes on while an estimate is made, and its start is dropped.
+        let record = looked.record.filter(|record| record.start_ns == start_ns).ok_or_else(gone)?;
         Ok(Estimated { document, record, settings: looked.settings })
     }
 }

@@ -63,7 +63,7 @@ impl FitPlots<'_> {
         let mut rng = seeded_rng(seed, 12);
         let residual = self.residual();
         let n = residual.len();
-        let block = (self.normalised.period.round() as usize).clamp(SHORTEST_BLOCK.min(n), (n / 4).max(1));
+        let block = (self.normalised.period.round() as usize).min(n / 4).max(SHORTEST_BLOCK.min(n));
         let from = self.normalised.from.min(self.normalised.pv.len());
         let mut out = Vec::with_capacity(count);
         for _ in 0..count {

@@ -124,3 +124,20 @@ fn what_cannot_be_fitted_has_no_portrait() {
     let odd = Model { fs: f64::NAN, ..truth(&[18.0], 4.0) };
     assert!(FitPlots::new(&record, &options(), &odd).is_none());
 }
+
+#[test]
+fn short_records_are_drawn_or_not_but_never_a_fault() {
+    let (whole, _) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
+    let mut drawn = 0;
+    for n in 0..100 {
+        let part = Record::uniform(2.0, whole.op_path[600 - n..].to_vec(), whole.pv[600 - n..].to_vec());
+        if let Some(plots) = FitPlots::new(&part, &options(), &truth(&[18.0], 4.0)) {
+            let maps = [1, 2].map(|order| plots.error_map(order, 0.2));
+            assert!(maps.iter().flatten().all(|map| map.best.rms.is_some_and(|rms| rms >= 0.0)), "{n}");
+            assert_eq!(plots.free_run().valve.len(), n);
+            assert!(plots.bootstrap(2, 1).len() <= 2 && plots.orders().figures.len() <= 2, "{n}");
+            drawn += usize::from(plots.restart(3).is_some());
+        }
+    }
+    assert!(drawn > 50, "{drawn}");
+}
