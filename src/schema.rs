@@ -1,11 +1,13 @@
-//! `stictiond schema`: the JSON Schemas of the published documents.
+//! `stictiond schema`: the JSON Schemas of the published documents, and the descriptions of the APIs.
 
 use std::path::PathBuf;
 
 use anyhow::Context;
 
 use super::{Outcome, UsageError, print};
+use stiction_daemon::asyncapi;
 use stiction_daemon::documents::{schemas, text};
+use stiction_web::openapi;
 
 /// Print the JSON Schema (2020-12) of a published document, or list them
 #[derive(Debug, clap::Args)]
@@ -13,10 +15,12 @@ use stiction_daemon::documents::{schemas, text};
   stictiond schema
   stictiond schema stictiond.estimate.v1 > estimate.json
   stictiond schema --out schemas/
+  stictiond schema openapi
 
 Documents may have more fields than their schema. Within a version, fields are only added.")]
 pub struct Args {
-    /// Name of the document, as in its field `schema` [default: list all names].
+    /// Name of the document, as in its field `schema`; or an API: openapi (the page), openapi-workbench, asyncapi (the bus)
+    /// [default: list all documents].
     pub name: Option<String>,
     /// Write all schemas into this folder, one file each.
     #[arg(long, value_name = "DIR", conflicts_with = "name")]
@@ -41,10 +45,20 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         print(&all.iter().map(|(name, _)| format!("{name}\n")).collect::<String>())?;
         return Ok(Outcome::Done);
     };
+    let api = match wanted.as_str() {
+        "openapi" => Some(openapi::document(&stiction_web::api::operations())),
+        "openapi-workbench" => Some(openapi::document(&stiction_workbench::operations())),
+        "asyncapi" => Some(asyncapi::document()),
+        _ => None,
+    };
+    if let Some(api) = api {
+        print(&text(&api))?;
+        return Ok(Outcome::Done);
+    }
     let found = all.iter().find(|(name, _)| name == wanted);
     let (_, schema) = found.ok_or_else(|| {
         let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
-        UsageError(format!("there is no document {wanted:?}; choose one of {}", names.join(", ")))
+        UsageError(format!("there is no document {wanted:?}; choose one of {}, openapi, openapi-workbench, asyncapi", names.join(", ")))
     })?;
     print(&text(schema))?;
     Ok(Outcome::Done)

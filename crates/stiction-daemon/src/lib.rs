@@ -13,6 +13,7 @@
 //!                                                '--(publisher, newest of each key; counts)--> publisher thread --> Zenoh, last values
 //! ```
 
+pub mod asyncapi;
 mod bundles;
 pub mod command_policy;
 mod core;

@@ -1,4 +1,4 @@
-//! Exports of other systems: every shape is read as it is, or refused with what settles it; the page of shapes says so.
+//! Exports of other systems: every shape is read as it is, or refused with what settles it.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -6,9 +6,7 @@ mod cli;
 mod data;
 mod shapes;
 
-use std::fmt::Write as _;
 use std::fs;
-use std::path::Path;
 
 use stiction_core::record::{Signal, Value};
 use stiction_core::units::NS_PER_S;
@@ -77,77 +75,33 @@ fn said(loaded: &Loaded) -> String {
     loaded.recognised.as_ref().map_or_else(|| "its own form: nothing to say".to_owned(), ToString::to_string)
 }
 
-/// The first lines of a text, or what else the file is.
-fn shown(shape: &Shape) -> String {
-    let (name, bytes) = &shape.files[0];
-    if name.ends_with(".csv") || name.ends_with(".txt") {
-        let text = if bytes.starts_with(b"\xff\xfe") {
-            String::from_utf16_lossy(
-                &bytes.chunks_exact(2).map(|p| u16::from_le_bytes([p[0], p[1]])).collect::<Vec<_>>(),
-            )
-        } else {
-            // What is no UTF-8 is Latin-1 here.
-            String::from_utf8(bytes.clone()).unwrap_or_else(|_| bytes.iter().map(|b| char::from(*b)).collect())
-        };
-        let lines: Vec<String> = text.lines().take(4).map(|l| l.replace('\t', "⇥").replace('|', "\\|")).collect();
-        return lines
-            .iter()
-            .map(|l| format!("`{}`", l.trim_start_matches('\u{feff}')))
-            .collect::<Vec<_>>()
-            .join("<br>");
-    }
-    format!("({name})")
-}
-
 #[test]
 fn every_shape_is_read_as_it_is_or_refused_with_what_settles_it() {
     let mut shapes = shapes::all();
     if cfg!(not(feature = "xlsx")) {
         shapes.retain(|shape| shape.files.iter().all(|(name, _)| !name.ends_with(".xlsx")));
     }
-    let mut page = String::from(
-        "# Exports that are read\n\n\
-         Made by `tests/program/exports`, which writes the same 60 rows of one loop in each shape and compares every value and\n\
-         every time that is read back. \"Asks\" is a refusal (exit 1) with its message; the flags behind it settle it. How files\n\
-         are read, and the flags: [exports.md](exports.md).\n\n\
-         | # | shape | first lines | flags | what is said |\n|---|---|---|---|---|\n",
-    );
-    let words = |flags: &[&str]| {
-        if flags.is_empty() { String::new() } else { format!("`{}`", flags.join(" ").replace('|', "\\|")) }
-    };
-    let mut row = |shape: &Shape, at: usize, flags: &[&str], text: String| {
-        let (number, name, lines) = if std::ptr::eq(flags, shape.flags) {
-            ((at + 1).to_string(), shape.name, shown(shape))
-        } else {
-            (String::new(), "", String::new())
-        };
-        writeln!(page, "| {number} | {name} | {lines} | {} | {} |", words(flags), text.replace('|', "\\|")).unwrap();
-    };
     let mut faults: Vec<String> = Vec::new();
-    for (at, shape) in shapes.iter().enumerate() {
+    for shape in &shapes {
         let found = read(shape, shape.flags);
         match (&shape.must, found) {
             (Must::Read(what), Ok(loaded)) => {
                 faults.extend(check(&loaded, what).err().map(|e| format!("{}: {e}", shape.name)));
-                row(shape, at, shape.flags, format!("reads: {}", said(&loaded)));
             }
             (Must::Ask(part, flags, what), Err(error)) => {
                 let text = told(&error);
-                row(shape, at, shape.flags, format!("asks: {text}"));
                 if !text.contains(part) {
                     faults.push(format!("{}: {text}", shape.name));
                 }
                 match read(shape, flags) {
                     Ok(loaded) => {
                         faults.extend(check(&loaded, what).err().map(|e| format!("{}: {e}", shape.name)));
-                        row(shape, at, flags, format!("reads: {}", said(&loaded)));
                     }
                     Err(error) => faults.push(format!("{} {flags:?}: {error}", shape.name)),
                 }
             }
             (Must::Refuse(part), Err(error)) => {
                 let text = told(&error);
-                row(shape, at, shape.flags, format!("asks: {text}"));
                 if !text.contains(part) {
                     faults.push(format!("{}: {text}", shape.name));
                 }
@@ -158,24 +112,4 @@ fn every_shape_is_read_as_it_is_or_refused_with_what_settles_it() {
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
     assert!(shapes.len() >= 40, "{}", shapes.len());
-    if cfg!(feature = "full") {
-        compare(&page);
-    }
-}
-
-/// The page says what was found just now.
-fn compare(page: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/export-shapes.md");
-    if std::env::var("STICTIOND_GOLDEN").is_ok_and(|wish| wish == "write") {
-        fs::write(&path, page).unwrap();
-    }
-    let kept = fs::read_to_string(&path).unwrap_or_default();
-    for (line, (kept, found)) in kept.lines().zip(page.lines()).enumerate() {
-        assert_eq!(kept, found, "docs/export-shapes.md, line {}: STICTIOND_GOLDEN=write makes it anew", line + 1);
-    }
-    assert_eq!(
-        kept.lines().count(),
-        page.lines().count(),
-        "docs/export-shapes.md: STICTIOND_GOLDEN=write makes it anew"
-    );
 }
