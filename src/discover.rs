@@ -7,8 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 
 use super::reading::ReadArgs;
-use super::{BRIDGE, Format, Outcome, OutputArgs, asked_to_stop, block_on, note};
-use stiction_command::other::RestArgs;
+use super::{Format, Outcome, asked_to_stop, block_on, note};
 use stiction_command::{bus, put};
 use stiction_core::record::Signal;
 use stiction_files::pairing::{Listing, Seen};
@@ -19,15 +18,10 @@ use stiction_files::pairing::{Listing, Seen};
 /// with several signals. Unpaired names are written as comments and counted on stderr.
 #[derive(Debug, clap::Args)]
 #[command(
-    args_conflicts_with_subcommands = true,
-    subcommand_negates_reqs = true,
-    disable_help_subcommand = true,
     after_help = "Examples: stictiond discover --connect tcp/127.0.0.1:7447 --key 'gateway/**' --for 30\n          \
                         stictiond discover exports/ --pattern 'gateway/{loop}.{SIGNAL}' --out loops.toml"
 )]
 pub struct Args {
-    #[command(subcommand)]
-    elsewhere: Option<Elsewhere>,
     /// Files, folders and patterns to examine.
     #[arg(required_unless_present = "connect", conflicts_with = "connect")]
     pub input: Vec<PathBuf>,
@@ -55,12 +49,6 @@ pub struct Args {
     pub reading: ReadArgs,
 }
 
-#[derive(Debug, clap::Subcommand)]
-enum Elsewhere {
-    /// Browse an OPC UA server, by the program stictiond-bridge.
-    Opcua(RestArgs),
-}
-
 fn seconds(text: &str) -> Result<f64, String> {
     let sound = |s: &f64| (0.1..=86_400.0).contains(s);
     text.parse().ok().filter(sound).ok_or_else(|| "write seconds from 0.1 to 86400".to_owned())
@@ -70,16 +58,13 @@ fn seconds(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 /// Nothing can be read, nothing answers at the endpoint, or no loop was found.
-pub fn run(args: &Args, output: OutputArgs) -> anyhow::Result<Outcome> {
-    if let Some(Elsewhere::Opcua(args)) = &args.elsewhere {
-        return BRIDGE.run(output, &["discover"], args);
-    }
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let (seen, what) = match &args.connect {
         Some(endpoint) => (look_at_bus(endpoint, &args.key, args.for_s)?, format!("{} for {} s", args.key, args.for_s)),
         None => (look_at_files(args)?, super::reading::named(&args.input)),
     };
     let keyed = args.connect.is_some() || args.pattern.is_some();
-    tell(&Listing { seen: &seen, keyed, what: &what }, args, output.format)
+    tell(&Listing { seen: &seen, keyed, what: &what }, args, format)
 }
 
 /// Prints or writes the entries, and notes on stderr what was found.

@@ -60,24 +60,16 @@ pub mod workbench;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use stiction_command::other::{OtherProgram, RestArgs};
 use stiction_command::{
     Format, Outcome, OutputArgs, UsageError, asked_to_stop, bar_of, block_on, exit_code, in_order_on_all_cores, list,
     log, note, on_all_cores, parse, print, put, say, stop, warn,
 };
 
-/// The program of challenges and calibrations.
-const LAB: OtherProgram = OtherProgram { name: "stiction-lab", build: "cargo build --release -p stiction-lab-cli" };
-
-/// The program of the bridges.
-const BRIDGE: OtherProgram = OtherProgram {
-    name: "stictiond-bridge",
-    build: "the Debian package, or cargo install --path crates/stictiond-bridge --features mqtt (opcua: both bridges)",
-};
-
 /// Find sticking control valves in loop data, live or recorded, with probability, size and interval.
 ///
-/// Exit codes: 0 done (a verdict never changes the exit code), 1 failed, 2 wrong command line, 3 done with data loss.
+/// Two other programs: stictiond-bridge brings data of an MQTT broker or an OPC UA server onto the bus, stiction-lab checks and
+/// calibrates what this one says. Exit codes: 0 done (a verdict never changes the exit code), 1 failed, 2 wrong command line,
+/// 3 done with data loss.
 #[derive(Debug, Parser)]
 #[command(name = "stictiond", version, max_term_width = 100)]
 struct Cli {
@@ -97,17 +89,12 @@ enum CommandArgs {
     Gap(gap::Args),
     Workbench(workbench::Args),
     Evaluate(evaluate::Args),
-    /// Calibrate the classifier and the intervals, by the program stiction-lab.
-    #[command(hide = true)]
-    Calibrate(RestArgs),
     Simulate(simulate::Args),
     Compact(compact::Args),
     Convert(convert::ConvertArgs),
     Check(check::Args),
     Test(test::Args),
     Discover(discover::Args),
-    /// Bring another system's data onto the bus, by the program stictiond-bridge.
-    Bridge(RestArgs),
     Info(info::InfoArgs),
     Recover(recover::Args),
     Schema(schema::Args),
@@ -134,17 +121,15 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Play(args) => play::run(&args, format),
         CommandArgs::Replay(args) => replay::run(&args, format),
         CommandArgs::Analyze(args) => analyze::run(&args, format),
-        CommandArgs::Gap(args) => gap::run(&args, cli.output),
+        CommandArgs::Gap(args) => gap::run(&args, format),
         CommandArgs::Workbench(args) => workbench::run(&args, format),
         CommandArgs::Evaluate(args) => evaluate::run(&args, format),
-        CommandArgs::Calibrate(args) => LAB.run(cli.output, &["calibrate"], &args),
         CommandArgs::Simulate(args) => simulate::run(&args, format),
         CommandArgs::Compact(args) => compact::run(&args, format),
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Test(args) => test::run(&args, format),
-        CommandArgs::Discover(args) => discover::run(&args, cli.output),
-        CommandArgs::Bridge(args) => BRIDGE.run(cli.output, &[], &args),
+        CommandArgs::Discover(args) => discover::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Recover(args) => recover::run(&args, format),
         CommandArgs::Schema(args) => schema::run(&args),

@@ -13,9 +13,8 @@ use anyhow::{Context, anyhow, bail};
 use self::neighbours::{NeighbourArgs, Neighbours};
 use super::reading::{ReadArgs, config_of, named};
 use super::selection::{Selection, points, told, warn};
-use super::{Format, LAB, Outcome, OutputArgs, UsageError, say, stop};
+use super::{Format, Outcome, UsageError, say, stop};
 use indicatif::{ProgressBar, ProgressStyle};
-use stiction_command::other::RestArgs;
 use stiction_core::gap::{GapError, effects, text};
 use stiction_files::LoadedLoop;
 use stiction_monitor::analysis::gap::{BaseChoice, Diagnosed, GapSettings};
@@ -31,7 +30,7 @@ use stiction_runtime::cores::{Team, Watch};
 /// The gap is measured in free run, on stretches that no model was fitted to, from a sticking valve (He's law) before a
 /// first-order process with dead time.
 #[derive(Debug, clap::Args)]
-#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, arg_required_else_help = true)]
+#[command(arg_required_else_help = true)]
 #[command(after_help = "Examples:
   stictiond gap recordings/sticking.mcap
   stictiond gap loop4.csv --samples 50,900 --predictions loop4-gap.csv
@@ -40,27 +39,8 @@ use stiction_runtime::cores::{Team, Watch};
   stictiond gap plant.mcap --loop FIC101 --other-loops
   stictiond gap may.csv june.csv july.csv --pool")]
 pub struct Args {
-    /// The check on withheld causes.
-    #[command(subcommand)]
-    pub command: Option<Command>,
-    /// What to diagnose.
-    #[command(flatten)]
-    pub diagnose: Diagnose,
-}
-
-/// What `gap` does beside diagnosing one file.
-#[derive(Debug, clap::Subcommand)]
-pub enum Command {
-    /// Check the diagnosis on loops whose cause is withheld from it, by the program stiction-lab.
-    Challenge(RestArgs),
-}
-
-/// What to diagnose, and from where.
-#[derive(Debug, clap::Args)]
-pub struct Diagnose {
     /// Tables (columns t,op,pv[,sp][,mv][,mode]), exports, recordings (.mcap, .mcap.part), compact stores (.mat), or
     /// folders of them.
-    // Absent only where a subcommand is called; clap cannot leave out the whole group, since groups in it are flattened.
     #[arg(required = true)]
     pub input: Vec<PathBuf>,
     /// How exports are read.
@@ -111,28 +91,17 @@ fn seconds(text: &str) -> Result<f64, String> {
     if value.is_finite() && value > 0.0 { Ok(value) } else { Err("write a number of seconds above 0".to_owned()) }
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// What the diagnosis or the check says.
-pub fn run(args: &Args, output: OutputArgs) -> anyhow::Result<Outcome> {
-    match &args.command {
-        Some(Command::Challenge(args)) => LAB.run(output, &["challenge"], args),
-        None => diagnose_all(&args.diagnose, output.format),
-    }
-}
-
-impl Diagnose {
+impl Args {
     fn input(&self) -> String {
         named(&self.input)
     }
 }
 
-/// Every chosen loop and section of one file.
+/// Runs the command: every chosen loop and section of one file.
 ///
 /// # Errors
 /// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
-fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     check(args)?;
     if args.pool {
         return pool::run(args, format);
@@ -184,7 +153,7 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
 }
 
 /// What can be refused before anything is read.
-fn check(args: &Diagnose) -> anyhow::Result<()> {
+fn check(args: &Args) -> anyhow::Result<()> {
     for id in &args.without {
         if !effects::ALL.iter().any(|e| e.id == id.as_str()) {
             let known = effects::ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ");
@@ -203,7 +172,7 @@ fn check(args: &Diagnose) -> anyhow::Result<()> {
 }
 
 /// What was asked, of `windows` windows that share the time.
-fn settings(args: &Diagnose, windows: usize) -> anyhow::Result<GapSettings> {
+fn settings(args: &Args, windows: usize) -> anyhow::Result<GapSettings> {
     Ok(GapSettings {
         base: args.base.as_deref().map_or(Ok(BaseChoice::Refit), base::read)?,
         without: args.without.clone(),
@@ -214,7 +183,7 @@ fn settings(args: &Diagnose, windows: usize) -> anyhow::Result<GapSettings> {
 }
 
 fn diagnose(
-    args: &Diagnose,
+    args: &Args,
     (settings, neighbours): (&GapSettings, &Neighbours),
     one: &LoadedLoop,
     points: &Points,
@@ -265,14 +234,14 @@ fn print(found: &Diagnosed, verbose: bool, format: Format) -> anyhow::Result<()>
     Ok(())
 }
 
-fn write_predictions(args: &Diagnose, points: &Points, found: &Diagnosed, section: Section) -> anyhow::Result<()> {
+fn write_predictions(args: &Args, points: &Points, found: &Diagnosed, section: Section) -> anyhow::Result<()> {
     let Some(path) = &args.predictions else { return Ok(()) };
     let whole = points.samples(section)?;
     let rows = rows(&whole, &found.record, &found.diagnosis);
     predictions::write(path, &rows).with_context(|| path.display().to_string())
 }
 
-fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<Diagnosed>) -> anyhow::Result<()> {
+fn write_report(args: &Args, path: &Path, warnings: &[String], loops: Vec<Diagnosed>) -> anyhow::Result<()> {
     let report =
         GapReport { input: args.input(), command: command_line(std::env::args()), warnings: warnings.to_vec(), loops };
     let page = gap_page(&report)?;

@@ -5,7 +5,7 @@ use anyhow::{Context, anyhow, bail};
 use super::super::reading::config_of;
 use super::super::selection::points;
 use super::super::{Format, Outcome, UsageError, stop};
-use super::{Diagnose, Diagnosed, diagnose, print, settings, write_predictions, write_report};
+use super::{Args, Diagnosed, diagnose, print, settings, write_predictions, write_report};
 use stiction_files::LoadedLoop;
 use stiction_monitor::analysis::gap::{DiagnosedWindow, decide_together};
 use stiction_monitor::analysis::{Points, Section};
@@ -27,7 +27,7 @@ struct Read {
 }
 
 /// Every window of the command line: each section of the loop in each file.
-fn read(args: &Diagnose) -> anyhow::Result<Read> {
+fn read(args: &Args) -> anyhow::Result<Read> {
     let mut out = Read::default();
     let mut named: Option<(String, String)> = None;
     let sections = args.selection.sections();
@@ -69,7 +69,7 @@ fn read(args: &Diagnose) -> anyhow::Result<Read> {
 ///
 /// # Errors
 /// A file cannot be read, or a window cannot be diagnosed or does not fit the others.
-pub(super) fn run(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
+pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let read = read(args)?;
     if read.windows.len() < 2 {
         let message = "--pool needs two windows at least: give more files, or sections by --window or --samples";

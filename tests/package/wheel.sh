@@ -21,8 +21,7 @@ tried() {
     local programs=$1
     "$programs/stictiond" demo --help | grep -q -- --no-open || fail "$programs: demo --help"
     "$programs/stictiond" analyze recordings/sticking.mcap --op-range 0,100 | grep -q 'the valve sticks' || fail "$programs: analyze"
-    # The bridge is found beside the program.
-    "$programs/stictiond" bridge mqtt --help | grep -q -- --topic || fail "$programs: bridge"
+    "$programs/stictiond-bridge" mqtt --help | grep -q -- --topic || fail "$programs: bridge"
 }
 
 strip -o "$work/stictiond" "$binary"

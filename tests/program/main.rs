@@ -23,7 +23,6 @@ mod exports;
 mod failover;
 mod golden;
 mod judged;
-mod other_programs;
 mod pages;
 mod play;
 mod recordings;

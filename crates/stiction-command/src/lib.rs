@@ -1,5 +1,5 @@
 //! What the programs' command lines share: how a command ends, what it prints and logs, work on all cores with its progress,
-//! Ctrl-C, man pages and completions, and the way to another program of the package.
+//! Ctrl-C, man pages and completions.
 //!
 //! Results go to stdout, everything else to stderr.
 
@@ -8,7 +8,6 @@ pub mod bus;
 pub mod cpu;
 pub mod log;
 pub mod manual;
-pub mod other;
 pub mod stop;
 pub mod values;
 

@@ -14,7 +14,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use stiction_command::manual::{self, ManualArgs, Shell};
 use stiction_command::{Outcome, OutputArgs, exit_code, log, parse, print};
 #[cfg(not(feature = "opcua"))]
-use stiction_command::{UsageError, other::RestArgs};
+use stiction_command::UsageError;
 
 /// Bring another system's data onto the bus. Bridges only read from the other system.
 ///
@@ -37,10 +37,10 @@ enum Command {
     Discover(Box<discover::Args>),
     /// Republish an OPC UA server's values: not in this build.
     #[cfg(not(feature = "opcua"))]
-    Opcua(RestArgs),
+    Opcua(Absent),
     /// Browse an OPC UA server: not in this build.
     #[cfg(not(feature = "opcua"))]
-    Discover(RestArgs),
+    Discover(Absent),
     /// Write man pages, one per command.
     Manual(ManualArgs),
     /// Print completions for a shell.
@@ -48,6 +48,15 @@ enum Command {
         /// The shell.
         shell: Shell,
     },
+}
+
+/// The arguments of a command that this build lacks: it is refused whatever they are.
+#[cfg(not(feature = "opcua"))]
+#[derive(Debug, clap::Args)]
+#[command(disable_help_flag = true)]
+struct Absent {
+    #[arg(hide = true, trailing_var_arg = true, allow_hyphen_values = true)]
+    _arguments: Vec<std::ffi::OsString>,
 }
 
 /// Reads the command line and runs one bridge.

@@ -127,7 +127,7 @@ fn cases_of(dir: &Path, truth: &Truth) -> anyhow::Result<Vec<Case>> {
         out.push(Case { truth: case, answer, evidence: kept.evidence });
     }
     if out.is_empty() {
-        bail!("{}: has no answers; run `gap challenge run` first", path.display());
+        bail!("{}: has no answers; run `stiction-lab challenge run` first", path.display());
     }
     Ok(out)
 }
