@@ -181,9 +181,7 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
     let name = &output.loop_name;
     let line = match output.kind {
         Kind::Alarm => {
-            // Recordings of earlier builds say it in `why`.
-            let detail = if d["detail"].is_string() { &d["detail"] } else { &d["why"] };
-            format!("{}  {name:<12} alarm {}: {}", time(&d["changed_ns"]), text(&d["state"]), text(detail))
+            format!("{}  {name:<12} alarm {}: {}", time(&d["changed_ns"]), text(&d["state"]), text(&d["detail"]))
         }
         Kind::Gap => format!(
             "{}  {name:<12} gap {} ({}, p {})",

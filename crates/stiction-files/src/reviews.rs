@@ -93,8 +93,7 @@ pub struct Review {
     pub p_stiction: Option<f64>,
     /// The size that it had found, OP units.
     pub s: Option<f64>,
-    /// When the valve was repaired, by the clock of its data. Indexes of earlier versions lack the column.
-    #[serde(default)]
+    /// When the valve was repaired, by the clock of its data.
     #[schemars(with = "Option<String>")]
     pub work_at: Option<Moment>,
 }
@@ -224,7 +223,6 @@ impl Reviews {
             fs::write(self.dir.join(&review.file), table_bytes)?;
         }
         let index = self.index();
-        self.add_columns()?;
         // One from which all old reviews were removed has no head either.
         let is_empty = fs::metadata(&index).map_or(true, |meta| meta.len() == 0);
         let line = lines_of([review.clone()], is_empty)?;
@@ -232,17 +230,6 @@ impl Reviews {
         file.write_all(&line)?;
         file.sync_all()?;
         Ok(review)
-    }
-
-    /// Writes an index anew that lacks columns of this version. One that cannot be read is left as it is.
-    fn add_columns(&self) -> io::Result<()> {
-        let Ok(reader) = csv::Reader::from_path(self.index()) else { return Ok(()) };
-        let mut reader = reader;
-        let is_old = reader.headers().is_ok_and(|head| !head.iter().any(|name| name == "work_at"));
-        match self.all() {
-            Ok(all) if is_old => self.write_all(all),
-            _ => Ok(()),
-        }
     }
 
     fn write_all(&self, all: Vec<Review>) -> io::Result<()> {
@@ -435,21 +422,6 @@ mod tests {
             (list.newest_of("A"), list.newest_of("B"), list.newest_of("C")),
             (Some(&third), Some(&second), None)
         );
-    }
-
-    #[test]
-    fn an_index_without_the_date_of_the_work_takes_reviews_with_one() {
-        let folder = tempfile::tempdir().unwrap();
-        let reviews = Reviews::below(folder.path());
-        let first = reviews.keep(review("A", Some("old, \"quoted\"")), &samples(), 0.0).unwrap();
-        let text = fs::read_to_string(reviews.index()).unwrap();
-        let cut: Vec<&str> = text.lines().map(|line| line.rsplit_once(',').unwrap().0).collect();
-        assert!(text.starts_with("file,label,") && cut[0].ends_with(",s"), "{text}");
-        fs::write(reviews.index(), cut.join("\n") + "\n").unwrap();
-        assert_eq!(reviews.all().unwrap(), std::slice::from_ref(&first));
-        let repaired = Review { label: Label::Repaired, work_at: Some(Moment(5_000_000_000)), ..review("A", None) };
-        let second = reviews.keep(repaired, &samples(), 0.0).unwrap();
-        assert_eq!(reviews.all().unwrap(), [first, second]);
     }
 
     #[test]

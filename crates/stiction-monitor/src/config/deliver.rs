@@ -163,7 +163,6 @@ fn read_deliver(r: &mut TableReader<'_, '_>) -> Option<Deliver> {
     }
     let [secret_file, ca_file, cert_file, key_file] = ["secret_file", "ca_file", "cert_file", "key_file"]
         .map(|key| r.text(key).map(|(text, _)| text).filter(|text| !text.is_empty()));
-    r.gone("user", "remove it; a webhook sends the content of secret_file as its token");
     let queue = r.integer("queue", QUEUE, 10, 1_000_000) as usize;
     if cert_file.is_some() != key_file.is_some() {
         r.refuse(line, "cert_file", "needs key_file", "write both or neither");

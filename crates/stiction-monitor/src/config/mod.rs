@@ -294,7 +294,6 @@ impl Config {
             bundles: bundle::read_bundles(lines, root, faults),
             loops: loops::read_loops(lines, root, window, alarm, faults),
         };
-        faults.extend(GONE.iter().filter_map(|(key, remedy)| refuse_gone(lines, root, key, remedy)));
         faults.extend(deliver::never_made(lines, root, &config.summary, &config.deliver));
         faults.extend(input::too_few_places(lines, root, config.input.max_loops, config.loops.len()));
         config
@@ -325,28 +324,9 @@ impl Config {
     }
 }
 
-/// Tables that no longer exist, and what replaces them.
-const GONE: [(&str, &str); 2] = [
-    ("cluster", "give each daemon a fixed part of the loops with [shard], and let systemd or Kubernetes restart it"),
-    ("signing", "let Zenoh's TLS and access control decide who writes these keys (config/hardened-router.json5)"),
-];
-
-fn refuse_gone(lines: &Lines, root: &DeTable<'_>, table: &str, remedy: &str) -> Option<Fault> {
-    let (key, _) = root.iter().find(|(key, _)| key.get_ref() == table)?;
-    Some(Fault {
-        line: lines.of(key.span().start),
-        key: table.to_owned(),
-        message: format!("[{table}] no longer exists"),
-        remedy: remedy.to_owned(),
-    })
-}
-
 fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
     let known = [&TABLES[..], &["deliver", "bundle", "loop"]].concat();
-    for (key, _) in root
-        .iter()
-        .filter(|(k, _)| !known.iter().chain(GONE.iter().map(|(gone, _)| gone)).any(|known| known == k.get_ref()))
-    {
+    for (key, _) in root.iter().filter(|(k, _)| !known.iter().any(|known| known == k.get_ref())) {
         faults.push(Fault {
             line: lines.of(key.span().start),
             key: key.get_ref().to_string(),
@@ -468,10 +448,8 @@ fn read_web(r: &mut TableReader<'_, '_>) -> Web {
     Web { enabled, listen, loop_series, max_loop_series, page: read_page(r) }
 }
 
-/// `workbench`. In earlier versions it was a switch: files were opened in the daemon.
 fn read_workbench(r: &mut TableReader<'_, '_>) -> String {
-    let remedy = "the address of a `stictiond workbench`, which is now a program of its own, such as \
-                  \"http://127.0.0.1:8090\", or remove the key";
+    let remedy = "the address of a `stictiond workbench`, such as \"http://127.0.0.1:8090\", or remove the key";
     let Some((url, line)) = r.text_or("workbench", remedy) else { return String::new() };
     let web = url.strip_prefix("http://").or_else(|| url.strip_prefix("https://"));
     if !url.is_empty() && web.is_none_or(|rest| rest.is_empty() || rest.contains([' ', '"', '<'])) {

@@ -57,7 +57,6 @@ pub(crate) struct TableReader<'a, 'i> {
     line: usize,
     table: Option<&'a DeTable<'i>>,
     known: Vec<&'static str>,
-    gone: Vec<&'static str>,
     faults: &'a mut Vec<Fault>,
 }
 
@@ -70,7 +69,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         table: Option<&'a DeTable<'i>>,
         faults: &'a mut Vec<Fault>,
     ) -> Self {
-        Self { lines, section: section.to_owned(), line, table, known: Vec::new(), gone: Vec::new(), faults }
+        Self { lines, section: section.to_owned(), line, table, known: Vec::new(), faults }
     }
 
     fn dotted(&self, key: &str) -> String {
@@ -228,14 +227,6 @@ impl<'a, 'i> TableReader<'a, 'i> {
         Some(self.lines.of(value.span().start))
     }
 
-    /// Refuses a key that no longer exists, saying what replaces it.
-    pub fn gone(&mut self, key: &'static str, remedy: &str) {
-        if let Some(line) = self.line_of(key) {
-            self.gone.push(key);
-            self.fault(line, key, "no longer exists".to_owned(), remedy.to_owned());
-        }
-    }
-
     /// Line of the table's header.
     pub fn line(&self) -> usize {
         self.line
@@ -246,7 +237,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         let Some(table) = self.table else { return };
         let unknown: Vec<(String, usize)> = table
             .iter()
-            .filter(|(k, _)| !self.known.iter().chain(&self.gone).any(|known| known == k.get_ref()))
+            .filter(|(k, _)| !self.known.iter().any(|known| known == k.get_ref()))
             .map(|(k, _)| (k.get_ref().to_string(), self.lines.of(k.span().start)))
             .collect();
         for (key, line) in unknown {

@@ -123,7 +123,6 @@ pub(super) fn read_retention(r: &mut TableReader<'_, '_>) -> Retention {
 
 pub(super) fn read_commands(r: &mut TableReader<'_, '_>) -> Commands {
     let d = Commands::default();
-    r.gone("principals", "let Zenoh's access control decide who may query (config/hardened-router.json5, SECURITY.md)");
     Commands {
         enabled: r.boolean("enabled", d.enabled),
         per_minute: r.integer("per_minute", d.per_minute.into(), 1, 100_000) as u32,

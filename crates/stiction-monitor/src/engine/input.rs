@@ -85,10 +85,6 @@ pub enum RecordedInput {
     Forget,
     /// The configuration names the loop no longer: its alarm ends.
     Removed,
-    /// A loop was taken over from another daemon. Earlier builds recorded it; this one neither writes nor replays it.
-    Taken,
-    /// A loop was given to another daemon; as [`RecordedInput::Taken`].
-    Released,
 }
 
 /// A loop's state at a place in a recording.
