@@ -58,7 +58,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let found = all.iter().find(|(name, _)| name == wanted);
     let (_, schema) = found.ok_or_else(|| {
         let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
-        UsageError(format!("there is no document {wanted:?}; choose one of {}, openapi, openapi-workbench, asyncapi", names.join(", ")))
+        UsageError(format!(
+            "there is no document {wanted:?}; choose one of {}, openapi, openapi-workbench, asyncapi",
+            names.join(", ")
+        ))
     })?;
     print(&text(schema))?;
     Ok(Outcome::Done)

@@ -24,7 +24,12 @@ fn channels() -> [Channel; 7] {
         ("alarm", of_loop(Kind::Alarm), ALARM_SCHEMA, alarm),
         ("gap", of_loop(Kind::Gap), Kind::Gap.schema(), gap),
         ("loopHealth", of_loop(Kind::Health), LOOP_HEALTH_SCHEMA, "Once a minute."),
-        ("group", group, Kind::Group.schema(), "At every comparison of the loops, under the first of the group's loops."),
+        (
+            "group",
+            group,
+            Kind::Group.schema(),
+            "At every comparison of the loops, under the first of the group's loops.",
+        ),
         ("daemonHealth", of_daemon(Kind::Health), DAEMON_HEALTH_SCHEMA, "Every 5 s."),
         ("dataHealth", of_daemon(Kind::DataHealth), DATA_HEALTH_SCHEMA, "Once a day, or as [summary] says."),
     ]

@@ -11,10 +11,10 @@ mod opcua;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use stiction_command::manual::{self, ManualArgs, Shell};
-use stiction_command::{Outcome, OutputArgs, exit_code, log, parse, print};
 #[cfg(not(feature = "opcua"))]
 use stiction_command::UsageError;
+use stiction_command::manual::{self, ManualArgs, Shell};
+use stiction_command::{Outcome, OutputArgs, exit_code, log, parse, print};
 
 /// Bring another system's data onto the bus. Bridges only read from the other system.
 ///

@@ -47,10 +47,9 @@ mod tests {
         let shard = of("[daemon]\nid = \"a-1\"\n[shard]\nindex = 2\ncount = 3\n").unwrap();
         assert_eq!((Some(shard.shard), of("").unwrap().shard), (Shard::new(2, 3), Shard::WHOLE));
         assert_eq!(shard.hash(), of("").unwrap().hash());
-        for (wrong, key) in [
-            ("[daemon]\nid = \"a/b\"\n", "daemon.id"),
-            ("[shard]\nindex = 3\ncount = 3\n", "shard.index"),
-        ] {
+        for (wrong, key) in
+            [("[daemon]\nid = \"a/b\"\n", "daemon.id"), ("[shard]\nindex = 3\ncount = 3\n", "shard.index")]
+        {
             let faults = of(wrong).unwrap_err();
             assert_eq!(faults.iter().map(|fault| fault.key.as_str()).collect::<Vec<_>>(), [key]);
         }
