@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 import threading
 import time
 import urllib.parse
@@ -188,8 +189,30 @@ def test_an_alarm_arrives_where_operators_look(folder):
         hook.server.shutdown()
 
 
+def shown_alarm():
+    """The document that docs/alarms.md shows."""
+    page = (ROOT / "docs" / "alarms.md").read_text()
+    return json.loads(re.search(r"```alarm\n(.*?)```", page, re.S).group(1))
+
+
+def check_example(orders, alarm):
+    """The consumer of the docs wrote one order, of this alarm, although each post is sent twice."""
+    row = eventually("a work order", lambda: orders.exists() and orders.read_text().splitlines(), 60)
+    assert len(row) == 1 and json.loads(row[0])["id"] == alarm["event_id"], row
+    assert alarm["what_to_do"] in json.loads(row[0])["long"], row
+
+
 def check_delivery(folder, hook):
-    port = free_port()
+    port, example, orders = free_port(), free_port(), Path(folder) / "orders.jsonl"
+    consumer = subprocess.Popen([sys.executable, ROOT / "examples" / "alarm_webhook.py", str(example), orders], stderr=subprocess.DEVNULL)
+    try:
+        check_receivers(folder, hook, port, example, orders)
+    finally:
+        consumer.kill()
+        consumer.wait()
+
+
+def check_receivers(folder, hook, port, example, orders):
     receivers = f"""
 [window]
 hop_s = 300
@@ -203,6 +226,12 @@ equipment = "FV-101"
 [[deliver]]
 name = "hook"
 to = "http://127.0.0.1:{hook.port}/stiction"
+[[deliver]]
+name = "orders"
+to = "http://127.0.0.1:{example}/"
+[[deliver]]
+name = "orders-again"
+to = "http://127.0.0.1:{example}/"
 """
     with Daemon(folder, PREFIX, f'[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]', receivers) as daemon:
         bus = session("peer", connect=[f"tcp/127.0.0.1:{port}"])
@@ -211,6 +240,10 @@ to = "http://127.0.0.1:{hook.port}/stiction"
         assert hook.refused >= 3 and event["data"] == alarm and event["id"] == alarm["event_id"], event
         assert event["specversion"] == "1.0" and event["type"] == alarm["schema"] and event["subject"] == "FIC101", event
         assert headers["content-type"].startswith("application/cloudevents+json"), headers
+        check_example(orders, alarm)
+        shown = shown_alarm()
+        check_document(shown)
+        assert set(shown) == set(alarm), set(shown) ^ set(alarm)
         eventually("no fault", lambda: daemon.healthz()["faults"] == [], 60)
         check_monitoring(daemon, folder, alarm)
         assert daemon.stop() < 5
