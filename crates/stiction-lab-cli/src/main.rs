@@ -1,7 +1,8 @@
 //! `stiction-lab` checks and calibrates what `stictiond` says: challenges with a withheld cause, the fits of the classifier, of
-//! the intervals and of the rules for plants. A plant's daemon needs none of it.
+//! the intervals and of the rules for plants, causes of known loops. A plant's daemon needs none of it.
 
 mod calibrate;
+mod causes;
 mod challenge;
 mod fleet;
 mod repeat;
@@ -28,6 +29,7 @@ struct Cli {
 enum Command {
     Challenge(challenge::Args),
     Calibrate(calibrate::Args),
+    Causes(causes::Args),
     Repeat(repeat::Args),
     /// Time the comparison of 1,000, 10,000 and 100,000 loops, of which one in five oscillates.
     Fleet,
@@ -55,6 +57,7 @@ fn run(cli: &Cli) -> anyhow::Result<Outcome> {
     match &cli.command {
         Command::Challenge(args) => challenge::run(args, format),
         Command::Calibrate(args) => calibrate::run(args, format),
+        Command::Causes(args) => causes::run(args, format),
         Command::Repeat(args) => repeat::run(args, format),
         Command::Fleet => fleet::run(format),
         Command::Manual(args) => manual::run(Cli::command(), args, format),

@@ -2,7 +2,7 @@
 //!
 //! [`accuracy`] makes sticking, well-posed loops of one [`Regime`]; `s` and `j` are known, and the valve is seen to
 //! move. [`verdict_case`] makes healthy and sticking loops of every kind, hard ones too, as plants would store them.
-//! Both are functions of (half, what, seed) alone, to the last bit.
+//! [`cause_case`] makes loops of a known cause, half of them behind a set point that moves. All are functions of (half, what, seed) alone, to the last bit.
 //!
 //! Two [`Half`]s draw from streams of their own, so nothing that was calibrated on one is met in the other, whatever
 //! the seeds. Loops are drawn until one fits its regime; the attempt's number is part of the stream.
@@ -13,7 +13,7 @@
 //!
 //! | room | |
 //! |---|---|
-//! | `accuracy`, `verdict` | what loops are drawn |
+//! | `accuracy`, `verdict`, `causes` | what loops are drawn |
 //! | [`draw`] | seeded draws |
 //! | [`rig`] | a loop with what drives it, and how it is tuned |
 //! | [`storage`] | what recording does to a signal |
@@ -24,6 +24,7 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
 mod accuracy;
+mod causes;
 pub mod draw;
 pub mod fixture;
 pub mod methods;
@@ -33,6 +34,7 @@ pub mod storage;
 mod verdict;
 
 pub use accuracy::Regime;
+pub use causes::CAUSES;
 pub use verdict::{KINDS, LIMIT_CYCLE, PROCESS_KINDS, RECORD_KINDS};
 
 use stiction_core::record::Record;
@@ -193,6 +195,13 @@ pub fn verdict_case(half: Half, seed: u64) -> TruthLoop {
 pub fn verdict_stretch(half: Half, seed: u64, windows: usize) -> TruthLoop {
     let (sticks, what) = if seed % 2 == 1 { (true, "verdict sticking") } else { (false, "verdict healthy") };
     first_that_fits(half, what, seed, |draw| verdict::attempt(draw, sticks, seed / 2, windows))
+}
+
+/// A loop of a known cause: tuning, a disturbance, the valve or none take turns with the seed, constant and moving set points
+/// with `seed / 4`, kinds with `seed / 8`.
+#[must_use]
+pub fn cause_case(half: Half, seed: u64) -> TruthLoop {
+    first_that_fits(half, "cause", seed, |draw| causes::attempt(draw, seed))
 }
 
 #[cfg(test)]

@@ -192,37 +192,54 @@ pub fn turns(mv: &[f64], least: f64) -> (usize, Option<f64>) {
     (all, period)
 }
 
+/// Phase and size of the open loop at `w`, 1/scan, for a controller gain of 1; half a scan of dead time for the hold.
+fn open_loop(process: &ProcessModel, ti: f64, td: f64, w: f64) -> (f64, f64) {
+    let pi = core::f64::consts::PI;
+    let mut phase = -w * (process.dead_time + 0.5);
+    let mut size = process.gain.abs();
+    for tau in [process.tau, process.tau2].into_iter().filter(|tau| *tau > 0.0) {
+        phase -= libm::atan(w * tau);
+        size /= (1.0 + w * w * tau * tau).sqrt();
+    }
+    if process.integrating {
+        phase -= 0.5 * pi;
+        size /= w;
+    }
+    // Kc (1 + 1/(Ti s) + Td s), the gain left out.
+    let im = w * td - 1.0 / (w * ti);
+    (phase + libm::atan(im), size * (1.0 + im * im).sqrt())
+}
+
+/// Frequencies from far below a loop's own up to the Nyquist limit, 1/scan.
+fn frequencies(process: &ProcessModel, ti: f64) -> impl Iterator<Item = f64> {
+    let lowest = 1e-4 / (process.tau + process.tau2 + process.dead_time + ti + 1.0);
+    core::iter::successors(Some(lowest), |w| Some(w * 1.01)).take_while(|w| *w < core::f64::consts::PI)
+}
+
 /// Controller gain at which a loop that rings for ever would start to, and the period of that ringing, scans; from the
-/// frequency response, half a scan of dead time for the hold. None where the phase never gets that far.
+/// frequency response. None where the phase never gets that far.
 pub fn ultimate(process: &ProcessModel, ti: f64, td: f64) -> Option<(f64, f64)> {
     let pi = core::f64::consts::PI;
-    let phase_and_size = |w: f64| {
-        let mut phase = -w * (process.dead_time + 0.5);
-        let mut size = process.gain.abs();
-        for tau in [process.tau, process.tau2].into_iter().filter(|tau| *tau > 0.0) {
-            phase -= libm::atan(w * tau);
-            size /= (1.0 + w * w * tau * tau).sqrt();
-        }
-        if process.integrating {
-            phase -= 0.5 * pi;
-            size /= w;
-        }
-        // Kc (1 + 1/(Ti s) + Td s), the gain left out.
-        let im = w * td - 1.0 / (w * ti);
-        (phase + libm::atan(im), size * (1.0 + im * im).sqrt())
-    };
-    let mut w = 1e-4 / (process.tau + process.tau2 + process.dead_time + ti + 1.0);
     let mut was_above = false;
-    while w < pi {
-        let (phase, size) = phase_and_size(w);
+    for w in frequencies(process, ti) {
+        let (phase, size) = open_loop(process, ti, td, w);
         if phase > -pi {
             was_above = true;
         } else if was_above {
             return Some((1.0 / size, 2.0 * pi / w));
         }
-        w *= 1.01;
     }
     None
+}
+
+/// Largest amplification of a disturbance on PV by the loop: Ms of Åström and Hägglund.
+pub(crate) fn max_sensitivity(process: &ProcessModel, kc: f64, ti: f64, td: f64) -> f64 {
+    let distance = |w: f64| {
+        let (phase, size) = open_loop(process, ti, td, w);
+        let (re, im) = (1.0 + kc * size * libm::cos(phase), kc * size * libm::sin(phase));
+        (re * re + im * im).sqrt()
+    };
+    1.0 / frequencies(process, ti).map(distance).fold(f64::INFINITY, f64::min)
 }
 
 /// A controller for `process` as people tune them, `tight` times the gain at which it rings (0..1).

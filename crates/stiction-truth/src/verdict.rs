@@ -55,17 +55,17 @@ fn cause(kind: &str) -> &'static str {
 }
 
 /// Length, period and thinning of a record, in recorded samples.
-struct Plan {
-    record_kind: &'static str,
-    n: usize,
-    period: f64,
-    every: usize,
+pub(super) struct Plan {
+    pub record_kind: &'static str,
+    pub n: usize,
+    pub period: f64,
+    pub every: usize,
     /// Scans before the first recorded one.
-    from: usize,
+    pub from: usize,
 }
 
 impl Plan {
-    fn new(draw: &mut Draw) -> Self {
+    pub fn new(draw: &mut Draw) -> Self {
         let record_kind = if draw.chance(0.25) { "raw" } else { draw.pick(&RECORD_KINDS, "raw") };
         let n = draw.log_between(300.0, 2_000.0);
         let (period, every) = if record_kind == "decimated" {
@@ -78,17 +78,17 @@ impl Plan {
         Self { record_kind, n: n as usize, period, every, from: from as usize }
     }
 
-    fn scans(&self) -> usize {
+    pub fn scans(&self) -> usize {
         self.n * self.every + self.from
     }
 
     /// Period in scans.
-    fn scan_period(&self) -> f64 {
+    pub fn scan_period(&self) -> f64 {
         self.period * self.every as f64
     }
 
     /// Stores a run, with bands that are shares of each signal's spread.
-    fn store(&self, draw: &mut Draw, run: &Run) -> Run {
+    pub fn store(&self, draw: &mut Draw, run: &Run) -> Run {
         let mut run = run.thinned(self.from, self.every);
         run.op.truncate(self.n);
         run.pv.truncate(self.n);
@@ -114,7 +114,7 @@ impl Plan {
 }
 
 /// A process of this kind whose loop rings, if it does, with a period of `ratio` times the one planned.
-fn process(draw: &mut Draw, kind: usize, period: f64, ratio: f64) -> Option<ProcessModel> {
+pub(super) fn process(draw: &mut Draw, kind: usize, period: f64, ratio: f64) -> Option<ProcessModel> {
     if kind == 0 {
         let gain = draw.sign() * draw.log_between(0.4, 3.0) * draw.pick(&[0.1, 1.0, 4.0, 15.0], 1.0);
         let (tau, dead_time) = (draw.log_between(0.3, 4.0), draw.between(0.0, 2.0));
@@ -128,7 +128,7 @@ fn process(draw: &mut Draw, kind: usize, period: f64, ratio: f64) -> Option<Proc
 }
 
 /// Sets the controller so that a bump rings on about as long as `left` says: what is left of it after ten periods.
-fn tighten(rig: &mut Rig, period: f64, left: f64) -> bool {
+pub(super) fn tighten(rig: &mut Rig, period: f64, left: f64) -> bool {
     let n = (20.0 * period).clamp(60.0, 6_000.0) as usize;
     let (mut low, mut high) = (0.3 * rig.kc, 1.5 * rig.kc);
     for _ in 0..14 {
@@ -175,7 +175,7 @@ fn uneven_sine(draw: &mut Draw, kind: &str, period: f64, n: usize) -> Vec<f64> {
 }
 
 /// What drives a loop of this kind. `size` is in OP units, at the process input.
-fn drive(draw: &mut Draw, kind: &str, rig: &Rig, size: f64, period: f64, n: usize) -> Option<Drive> {
+pub(super) fn drive(draw: &mut Draw, kind: &str, rig: &Rig, size: f64, period: f64, n: usize) -> Option<Drive> {
     let mut drive = Drive::none(n);
     let unit = rig.pv_per_op(period);
     let time = |draw: &mut Draw, low: f64, high: f64| period * draw.log_between(low, high);
@@ -258,7 +258,7 @@ fn saturate(draw: &mut Draw, rig: &mut Rig, drive: &Drive) {
 }
 
 /// The valve of a sticking loop, and the same as a law that a pilot run can take.
-fn sticking_valve(draw: &mut Draw, law: ValveLaw, dead_band: bool, period: f64) -> (ValveModel, ValveModel) {
+pub(super) fn sticking_valve(draw: &mut Draw, law: ValveLaw, dead_band: bool, period: f64) -> (ValveModel, ValveModel) {
     let fs = draw.log_between(0.6, 6.0);
     let fd = if dead_band { fs } else { fs * draw.between(0.05, 0.95) };
     let as_law = if law == ValveLaw::Physical { ValveLaw::Tracking } else { law };
