@@ -3,6 +3,7 @@
 # (python), reports and the page in a browser (tests/report, tests/page). What was skipped for want of something is said and
 # counted at the end.
 #
+# Python packages come from PyPI. STICTIOND_INSTALL=1 lets root install what Debian has of the rest (chromium, npm, python3-venv).
 # --all adds what takes long: the tests that cargo calls ignored, all loops of the statistical tests (the usual run takes a
 # third), thirty simulated days by three seeds, five times the damaged inputs, the soak (ten minutes), every view of the page
 # by axe, the packages on a clean root (tests/package), and the lints of the plain build, whose dependencies then compile once
@@ -30,7 +31,7 @@ noted() {
 }
 
 # Browser, broker and Python packages are fetched while the compiler works. What fails here is said where it is needed.
-{ bash tests/interop/run.sh --fetch && bash tests/report/run.sh --fetch && bash tests/page/run.sh --fetch; bash python/test.sh --fetch; } >/dev/null 2>&1 &
+{ bash tests/interop/run.sh --fetch && bash tests/page/run.sh --fetch; } >/dev/null 2>&1 &
 fetching=$!
 
 if [ -n "$all" ]; then

@@ -133,7 +133,7 @@ fn python_reads_columns_by_the_lines_of_the_page() {
     let page = fs::read_to_string("docs/recordings.md").unwrap();
     let lines = page.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
     assert!(lines.lines().count() <= 12, "{lines}");
-    let python = ["target/venv/bin/python3", "python3"].into_iter().find(|python| {
+    let python = ["target/python/bin/python3", "target/venv/bin/python3", "python3"].into_iter().find(|python| {
         let mut asked = Command::new(python);
         asked.args(["-c", "import mcap, zstandard, numpy"]).stderr(Stdio::null());
         asked.status().is_ok_and(|status| status.success())
