@@ -5,16 +5,16 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use divan::{Bencher, black_box};
-use stiction_core::detect::{self, View};
-use stiction_core::gap::{GapOptions, Serial, diagnose};
-use stiction_core::ident::class::Class;
-use stiction_core::ident::{Options, controller, evaluator, quantify};
-use stiction_core::record::Record;
-use stiction_core::signal::stats;
-use stiction_core::sim::slips::{FirstSlip, Law, Stroke};
-use stiction_core::sim::steps::{Path, Steps};
-use stiction_core::verdict::{AssessParams, assess, is_screened_out};
-use stiction_truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
+use stiction::core::detect::{self, View};
+use stiction::core::gap::{GapOptions, Serial, diagnose};
+use stiction::core::ident::class::Class;
+use stiction::core::ident::{Options, controller, evaluator, quantify};
+use stiction::core::record::Record;
+use stiction::core::signal::stats;
+use stiction::core::sim::slips::{FirstSlip, Law, Stroke};
+use stiction::core::sim::steps::{Path, Steps};
+use stiction::core::verdict::{AssessParams, assess, is_screened_out};
+use stiction_lab::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
 fn main() {
     divan::main();

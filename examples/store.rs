@@ -6,10 +6,10 @@ use std::error::Error;
 use std::fs::File;
 
 use stiction::{AssessParams, assess};
+use stiction_engine::analysis::{Cut, Points, Section};
+use stiction_engine::config::Config;
 use stiction_files::compact::{CompactLoop, write};
 use stiction_files::load_samples;
-use stiction_monitor::analysis::{Cut, Points, Section};
-use stiction_monitor::config::Config;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let samples = load_samples("recordings/sticking.mcap".as_ref())?.loops.remove(0).samples;

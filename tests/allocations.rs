@@ -7,10 +7,10 @@ use std::io::Write as _;
 use std::sync::Arc;
 
 use allocation_counter::measure;
-use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
+use stiction_engine::config::Config;
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_monitor::config::Config;
-use stiction_runtime::clock::Clock;
+use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
+use stictiond::runtime::clock::Clock;
 
 const LOOPS: usize = 50;
 const START_NS: i64 = 1_700_000_123_000_000_000;

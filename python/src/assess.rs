@@ -11,15 +11,15 @@ use crate::columns::{Handed, enough};
 use crate::options::{Fit, FitOverrides, Look, config};
 use crate::supervise::{on_threads, supervised, threads};
 use crate::{StictionError, refused};
-use stiction_core::gap::model_file::ModelFile;
-use stiction_core::ident::surface::solve;
-use stiction_core::record::{Record, Sample};
-use stiction_core::verdict::action::Action;
-use stiction_core::verdict::{AssessParams, is_screened_out, words};
-use stiction_monitor::alarm::LoopContext;
-use stiction_monitor::analysis::plant::{OfPlant, judge_together};
-use stiction_monitor::analysis::solver::{self, SolverDocument};
-use stiction_monitor::analysis::{self, Answer, Cut, Estimated, Points, Scored, Section, text};
+use stiction::core::gap::model_file::ModelFile;
+use stiction::core::ident::surface::solve;
+use stiction::core::record::{Record, Sample};
+use stiction::core::verdict::action::Action;
+use stiction::core::verdict::{AssessParams, is_screened_out, words};
+use stiction_engine::alarm::LoopContext;
+use stiction_engine::analysis::plant::{OfPlant, judge_together};
+use stiction_engine::analysis::solver::{self, SolverDocument};
+use stiction_engine::analysis::{self, Answer, Cut, Estimated, Points, Scored, Section, text};
 
 /// An estimate's document, and what it says in words; both JSON.
 pub type Told = (String, String);

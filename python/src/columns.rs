@@ -4,9 +4,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::refused;
-use stiction_core::record::{Mode, Sample, Signal, Value};
-use stiction_core::units::parse_time;
-use stiction_monitor::analysis::rows::{Joined, Rows};
+use stiction::core::record::{Mode, Sample, Signal, Value};
+use stiction::core::units::parse_time;
+use stiction_engine::analysis::rows::{Joined, Rows};
 
 /// Numbers of eight bytes each, little-endian.
 fn words(bytes: &[u8]) -> impl Iterator<Item = [u8; 8]> + '_ {
@@ -144,8 +144,8 @@ pub fn stamps_of(py: Python<'_>, stamps: impl Iterator<Item = i64>) -> Bound<'_,
 
 /// The samples, if there are enough for a fit, counted as on the command line.
 pub fn enough(joined: Joined) -> Result<(Vec<Sample>, Vec<String>), String> {
-    let needed = stiction_monitor::analysis::MIN_SAMPLES;
-    let there = stiction_monitor::analysis::usable(&joined.samples);
+    let needed = stiction_engine::analysis::MIN_SAMPLES;
+    let there = stiction_engine::analysis::usable(&joined.samples);
     if there < needed {
         return Err(format!("{there} usable samples, {needed} with both OP and PV are needed; give a longer record"));
     }

@@ -10,13 +10,13 @@ use crate::columns::{Handed, bytes_of, enough, stamps_of};
 use crate::options::{Look, config, stamp};
 use crate::supervise::{Watch, on_threads, supervised, threads};
 use crate::{StictionError, refused};
-use stiction_core::gap::model_file::ModelFile;
-use stiction_core::gap::{Executor, GapError, effects, text};
-use stiction_monitor::analysis::gap::{
+use stiction::core::gap::model_file::ModelFile;
+use stiction::core::gap::{Executor, GapError, effects, text};
+use stiction_engine::analysis::gap::{
     BaseChoice, DiagnosedWindow, GapSettings, assessment, decide_together, diagnose as diagnosed, neighbour, record,
 };
-use stiction_monitor::analysis::predictions::{Row, rows};
-use stiction_monitor::analysis::{Points, Section};
+use stiction_engine::analysis::predictions::{Row, rows};
+use stiction_engine::analysis::{Points, Section};
 
 /// Options.
 #[derive(FromPyObject)]

@@ -7,11 +7,11 @@ use crate::columns::{Handed, enough};
 use crate::options::{Look, config};
 use crate::supervise::supervised;
 use crate::{StictionError, refused};
-use stiction_core::ident::Model;
-use stiction_core::ident::fit_plots::FitPlots;
-use stiction_core::signal::stats;
-use stiction_core::sim::slips::Law;
-use stiction_monitor::analysis::Points;
+use stiction::core::ident::Model;
+use stiction::core::ident::fit_plots::FitPlots;
+use stiction::core::signal::stats;
+use stiction::core::sim::slips::Law;
+use stiction_engine::analysis::Points;
 
 /// The error over the plane of the bands for one order of the process, JSON; `step` is a share of OP's span.
 #[pyfunction]

@@ -56,5 +56,5 @@ mod _stiction {
     use super::windows::{assess_windows, over_time};
     #[pymodule_export]
     #[allow(non_upper_case_globals)]
-    const __version__: &str = stiction_core::VERSION;
+    const __version__: &str = stiction::core::VERSION;
 }

@@ -3,12 +3,12 @@
 use pyo3::prelude::*;
 
 use crate::refused;
-use stiction_core::ident::surface::BUDGET;
-use stiction_core::optim::{Settings, SolverName};
-use stiction_core::units::{LoopKind, parse_time};
-use stiction_core::verdict::{AssessParams, ModelChoice, ValveChoice};
-use stiction_monitor::analysis::{self, Cut, Detrend, Section, delay_choice};
-use stiction_monitor::config::Config;
+use stiction::core::ident::surface::BUDGET;
+use stiction::core::optim::{Settings, SolverName};
+use stiction::core::units::{LoopKind, parse_time};
+use stiction::core::verdict::{AssessParams, ModelChoice, ValveChoice};
+use stiction_engine::analysis::{self, Cut, Detrend, Section, delay_choice};
+use stiction_engine::config::Config;
 
 /// Section and density: the same for every function.
 #[derive(FromPyObject)]

@@ -9,7 +9,7 @@ use pyo3::types::PyBytes;
 use crate::columns::{bytes_of, stamps_of};
 use crate::supervise::supervised;
 use crate::{StictionError, refused};
-use stiction_core::record::Value;
+use stiction::core::record::Value;
 use stiction_files::csv::{COLUMNS, Row, rows_of};
 use stiction_files::export::{Map, TimeFormat, Zone, delimiter, encoding};
 use stiction_files::inputs::{Unit, units};

@@ -6,9 +6,9 @@ use crate::StictionError;
 use crate::columns::{Handed, enough};
 use crate::options::{Fit, Look, config};
 use crate::supervise::supervised;
-use stiction_core::repair::{RepairParams, repair as simulated};
-use stiction_core::verdict::{AssessParams, assess};
-use stiction_monitor::analysis::Points;
+use stiction::core::repair::{RepairParams, repair as simulated};
+use stiction::core::verdict::{AssessParams, assess};
+use stiction_engine::analysis::Points;
 
 /// Benefit of a repair; JSON.
 #[pyfunction]

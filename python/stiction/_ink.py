@@ -1,4 +1,4 @@
-"""Colours and axes of the pictures: those of the page (`crates/stiction-web/src/assets/app.css`)."""
+"""Colours and axes of the pictures: those of the page (`src/web/assets/app.css`)."""
 
 from __future__ import annotations
 

@@ -259,13 +259,13 @@ def test_the_pictures_of_loops_and_of_a_repair(many: Any, sticking: stiction.Sim
 
 
 def test_colours_are_those_of_the_page() -> None:
-    light = (ROOT / "crates" / "stiction-web" / "src" / "assets" / "app.css").read_text().split("@media")[0]
+    light = (ROOT / "src" / "web" / "assets" / "app.css").read_text().split("@media")[0]
     page = dict(re.findall(r"--([a-z]+):(#[0-9a-f]{6});", light))
     assert {name: page.get(name) for name in INK} == INK
 
 
 def test_short_verdicts_are_those_of_the_page() -> None:
-    page = (ROOT / "crates" / "stiction-web" / "src" / "assets" / "verdicts.js").read_text()
+    page = (ROOT / "src" / "web" / "assets" / "verdicts.js").read_text()
     assert dict(re.findall(r'(\w+): \{ short: "([a-z ]+)"', page)) == _plots.SHORT
 
 

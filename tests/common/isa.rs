@@ -1,7 +1,7 @@
 //! A second, plainer account of the alarm after ISA-18.2, kept as lists and flags instead of bits and states.
 #![allow(dead_code)] // each test takes what it needs
 
-use stiction_monitor::alarm::MAX_SHELVE_S;
+use stiction_engine::alarm::MAX_SHELVE_S;
 
 /// Most windows that m of n looks at.
 const REMEMBERED: usize = 32;

@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use stiction_engine::codec::topic::{Kind, Leaf, Topic};
 use stiction_files::{RecordingReader, log_topic};
-use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use zenoh::Wait;
 
 pub const PREFIX: &str = "plant1/area1";

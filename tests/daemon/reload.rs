@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
-use stiction_monitor::codec::topic::Kind;
+use stiction_engine::codec::topic::Kind;
 use zenoh::Wait;
 
 use crate::live::{Daemon, PREFIX, ask, documents, files, http, ok, plane, wait_for};

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::live::{Daemon, FAST, PREFIX, ask, files, free_port, ok, plane, wait_for};
 use serde_json::Value;
-use stiction_monitor::shard::Shard;
+use stiction_engine::shard::Shard;
 use zenoh::Wait;
 
 /// A part of the loops, on a bus of its own that may be connected to another daemon's.

@@ -154,7 +154,7 @@ fn soak_with_reconnects() {
     let daemon = Client::start(dir.path(), port, window);
     let plant = session("client", false, port).unwrap();
     let keys: Vec<[String; 2]> = (0..loops).map(|k| ["op", "pv"].map(|s| format!("{PREFIX}/L{k:05}/{s}"))).collect();
-    let (started, start_ns) = (Instant::now(), stiction_runtime::clock::now_ns());
+    let (started, start_ns) = (Instant::now(), stictiond::runtime::clock::now_ns());
     let (mut sent, mut restarts, mut points, mut most) = (0_u64, 0, Vec::new(), 0);
     let mut next_restart = every;
     for scan in 0..seconds as u64 {

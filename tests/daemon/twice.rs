@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use stiction_core::sim::scenario::Scenario;
-use stiction_daemon::rerun::Rerun;
+use stiction::core::sim::scenario::Scenario;
+use stiction_engine::codec::encode_recorded;
+use stiction_engine::codec::topic::{self, Kind};
+use stiction_engine::config::Config;
+use stiction_engine::engine::{Engine, Event, RecordedInput, Request, SkipReason};
 use stiction_files::RecordingFile;
-use stiction_monitor::codec::encode_recorded;
-use stiction_monitor::codec::topic::{self, Kind};
-use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, RecordedInput, Request, SkipReason};
+use stictiond::daemon::rerun::Rerun;
 
 const SCENARIO: &str = include_str!("../../recordings/scenarios/sticking.toml");
 const TEXT: &str = "[site]\nprefix = \"p\"\n[window]\nhop_s = 300.0\n[alarm]\nraise = [32, 32]\n";

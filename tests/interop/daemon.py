@@ -111,7 +111,12 @@ class Daemon:
         return time.monotonic() - started
 
 
-def stictiond(*arguments):
+def stictiond(*arguments, program=PROGRAM):
     """Runs a command to its end: exit code, stdout, stderr."""
-    done = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True, cwd=ROOT, timeout=300)
+    done = subprocess.run([program, *map(str, arguments)], capture_output=True, text=True, cwd=ROOT, timeout=300)
     return done.returncode, done.stdout, done.stderr
+
+
+def stiction_lab(*arguments):
+    """The same of the laboratory's program."""
+    return stictiond(*arguments, program=PROGRAM.with_name("stiction-lab"))

@@ -3,11 +3,11 @@
 use crate::isa::Model;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stiction_core::ident::region::Size;
-use stiction_core::units::Moment;
-use stiction_core::verdict::{Assessment, CountedBy, Oscillation, Verdict, Window};
-use stiction_monitor::alarm::AlarmParams;
-use stiction_monitor::alarm::{Alarm, Command, MAX_SHELVE_S};
+use stiction::core::ident::region::Size;
+use stiction::core::units::Moment;
+use stiction::core::verdict::{Assessment, CountedBy, Oscillation, Verdict, Window};
+use stiction_engine::alarm::AlarmParams;
+use stiction_engine::alarm::{Alarm, Command, MAX_SHELVE_S};
 
 const STEP_NS: i64 = 600_000_000_000;
 const CLASSES: [Size; 3] = [Size::Weak, Size::Moderate, Size::Strong];

@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{LazyLock, Mutex};
 
-use stiction_core::verdict::{Assessment, assess};
-use stiction_monitor::engine::{Request, WindowAnswer};
+use stiction::core::verdict::{Assessment, assess};
+use stiction_engine::engine::{Request, WindowAnswer};
 
 static ASSESSMENTS: LazyLock<Mutex<HashMap<u64, Assessment>>> = LazyLock::new(Mutex::default);
 

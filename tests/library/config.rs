@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeSet;
-use stiction_monitor::config::Config;
+use stiction_engine::config::Config;
 
 const MONITOR: &str = include_str!("../../config/monitor.toml");
 const DEMO: &str = include_str!("../../config/demo.toml");

@@ -7,12 +7,12 @@ use crate::answers::compute;
 use proptest::prelude::*;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stiction_core::record::{Mode, Sample, Signal, Value};
-use stiction_core::signal::align::align_all;
-use stiction_core::sim::scenario::Scenario;
-use stiction_core::verdict::{Verdict, assess};
-use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, Request, SkipReason, section};
+use stiction::core::record::{Mode, Sample, Signal, Value};
+use stiction::core::signal::align::align_all;
+use stiction::core::sim::scenario::Scenario;
+use stiction::core::verdict::{Verdict, assess};
+use stiction_engine::config::Config;
+use stiction_engine::engine::{Engine, Event, Request, SkipReason, section};
 
 const AWKWARD: &str = include_str!("../../recordings/scenarios/awkward.toml");
 const FOUR: &str = include_str!("../../recordings/scenarios/four-loops.toml");

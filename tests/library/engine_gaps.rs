@@ -2,13 +2,13 @@
 //! same for the same windows, whatever becomes of the diagnoses.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction_core::record::{Sample, Signal, Value};
-use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction_core::sim::controller::{Action, PidSettings};
-use stiction_core::sim::process::ProcessModel;
-use stiction_core::verdict::{Assessment, Oscillation, Process, Window};
-use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, GapReason, GapRequest, LoopId, Request, SkipReason};
+use stiction::core::record::{Sample, Signal, Value};
+use stiction::core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction::core::sim::controller::{Action, PidSettings};
+use stiction::core::sim::process::ProcessModel;
+use stiction::core::verdict::{Assessment, Oscillation, Process, Window};
+use stiction_engine::config::Config;
+use stiction_engine::engine::{Engine, Event, GapReason, GapRequest, LoopId, Request, SkipReason};
 
 const SECOND: i64 = 1_000_000_000;
 const HOUR: i64 = 3600 * SECOND;
@@ -211,7 +211,7 @@ fn a_checkpoint_carries_the_row_and_the_day_over() {
     assert!(first.asked.is_empty());
     let checkpoint = serde_json::to_string(&first.engine.checkpoint(first.id)).unwrap();
     let mut second = hours(0, config(3600.0), Then::Nothing, |_| Some(60.0));
-    let mut checkpoint: stiction_monitor::engine::Checkpoint = serde_json::from_str(&checkpoint).unwrap();
+    let mut checkpoint: stiction_engine::engine::Checkpoint = serde_json::from_str(&checkpoint).unwrap();
     checkpoint.stream = None;
     second.engine.restore(second.id, checkpoint);
     for k in 12 * 60..20 * 60 {
@@ -248,7 +248,7 @@ fn grown(grade: char, fs: f64) -> Vec<(usize, GapRequest)> {
     let mut rig = Rig::new(config(300.0), Then::Nothing, move |window, r: &Request| {
         let mut a = assessment(r, Some(90.0));
         let bands = if window < 20 { (5.0, 3.0) } else { (fs, 0.6 * fs) };
-        (a.fs, a.fd, a.valve_model) = (Some(bands.0), Some(bands.1), Some(stiction_core::sim::slips::Law::He));
+        (a.fs, a.fd, a.valve_model) = (Some(bands.0), Some(bands.1), Some(stiction::core::sim::slips::Law::He));
         a.grade = Some(if window < 4 { 'D' } else { grade });
         a
     });

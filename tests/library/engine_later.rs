@@ -5,12 +5,12 @@ use std::collections::VecDeque;
 
 use crate::answers::compute;
 use proptest::prelude::*;
-use stiction_core::record::{Sample, Signal, Value};
-use stiction_core::sim::scenario::Scenario;
-use stiction_core::verdict::Verdict;
-use stiction_monitor::alarm::{Command, State};
-use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, LoopId};
+use stiction::core::record::{Sample, Signal, Value};
+use stiction::core::sim::scenario::Scenario;
+use stiction::core::verdict::Verdict;
+use stiction_engine::alarm::{Command, State};
+use stiction_engine::config::Config;
+use stiction_engine::engine::{Engine, Event, LoopId};
 
 const FOUR: &str = include_str!("../../recordings/scenarios/four-loops.toml");
 
@@ -129,7 +129,7 @@ fn run(engine: &mut Engine, id: LoopId, samples: &[Sample]) -> State {
                 match event {
                     Event::Request(r) => engine.complete(r.id, r.seq, r.compute(), &mut events),
                     Event::GapRequest(r) => {
-                        engine.skip_gap(r.id, r.number, stiction_monitor::engine::SkipReason::Failed, &mut events);
+                        engine.skip_gap(r.id, r.number, stiction_engine::engine::SkipReason::Failed, &mut events);
                     }
                     Event::Estimate(_, d) => assert_ne!(d.assessment.verdict, Verdict::Disturbance),
                     _ => {}

@@ -1,14 +1,14 @@
 //! What a group says of a loop: the estimate names what drives the loop, and the alarm waits for the source's.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction_core::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
-use stiction_core::record::{Sample, Signal, Value};
-use stiction_core::units::Moment;
-use stiction_core::verdict::rule::{Cuts, Opinion};
-use stiction_core::verdict::{Assessment, CountedBy, EstimateDocument, MemberJudgement, Oscillation, Verdict, Window};
-use stiction_monitor::alarm::Command;
-use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, GroupStanding, LoopId};
+use stiction::core::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
+use stiction::core::record::{Sample, Signal, Value};
+use stiction::core::units::Moment;
+use stiction::core::verdict::rule::{Cuts, Opinion};
+use stiction::core::verdict::{Assessment, CountedBy, EstimateDocument, MemberJudgement, Oscillation, Verdict, Window};
+use stiction_engine::alarm::Command;
+use stiction_engine::config::Config;
+use stiction_engine::engine::{Engine, Event, GroupStanding, LoopId};
 
 const HOP_NS: i64 = 300_000_000_000;
 const PERIOD_S: f64 = 60.0;

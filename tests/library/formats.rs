@@ -2,8 +2,8 @@
 
 use std::fs;
 
-use stiction_core::units::format_rfc3339;
-use stiction_monitor::codec::{self, Bundle, Memory, Scalar};
+use stiction::core::units::format_rfc3339;
+use stiction_engine::codec::{self, Bundle, Memory, Scalar};
 
 fn page() -> String {
     fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/live-formats.md")).unwrap()

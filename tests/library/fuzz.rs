@@ -10,13 +10,13 @@ use std::time::{Duration, Instant};
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stiction_core::record::{Mode, Signal, Value};
+use stiction::core::record::{Mode, Signal, Value};
+use stiction_engine::alarm::{Alarm, Command};
+use stiction_engine::codec::topic::Topic;
+use stiction_engine::codec::{Bundle, MAX_SAMPLES, Memory, decode, decode_fields};
+use stiction_engine::config::Config;
 use stiction_files::columns::{self, Columns, Row};
 use stiction_files::{csv, load_samples};
-use stiction_monitor::alarm::{Alarm, Command};
-use stiction_monitor::codec::topic::Topic;
-use stiction_monitor::codec::{Bundle, MAX_SAMPLES, Memory, decode, decode_fields};
-use stiction_monitor::config::Config;
 
 #[path = "../program/exports/data.rs"]
 #[allow(dead_code)]
@@ -145,7 +145,7 @@ fn payloads() {
 #[test]
 fn payloads_of_every_format() {
     let page = fs::read_to_string("docs/live-formats.md").unwrap();
-    for codec in stiction_monitor::codec::ALL {
+    for codec in stiction_engine::codec::ALL {
         let name = codec.name();
         let example = page
             .split_once(&format!("\n### {name}\n"))
@@ -280,7 +280,7 @@ fn configurations() {
 fn expectations() {
     let corpus = [fs::read("config/expectations.toml").unwrap()];
     fuzz("expectations", 2000, &corpus, |bytes| {
-        if let Err(faults) = stiction_monitor::expectations::parse(&String::from_utf8_lossy(bytes)) {
+        if let Err(faults) = stiction_engine::expectations::parse(&String::from_utf8_lossy(bytes)) {
             assert!(!faults.is_empty());
         }
     });

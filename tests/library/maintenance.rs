@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use stiction_core::units::Moment;
-use stiction_core::verdict::{Assessment, EstimateDocument, Oscillation, Verdict, Window};
-use stiction_monitor::alarm::{Alarm, AlarmDocument, LoopContext};
-use stiction_runtime::maintenance::{
+use stiction::core::units::Moment;
+use stiction::core::verdict::{Assessment, EstimateDocument, Oscillation, Verdict, Window};
+use stiction_engine::alarm::{Alarm, AlarmDocument, LoopContext};
+use stictiond::runtime::maintenance::{
     Benefit, Done, Helped, Measured, Removed, SIMULATED, Work, compare, rank, simulable,
 };
-use stiction_runtime::overview::Candidate;
+use stictiond::runtime::overview::Candidate;
 
 fn assessment(verdict: Verdict, p: f64) -> Assessment {
     let (start, end) = (Moment(0), Moment(10));

@@ -7,13 +7,13 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use stiction_core::record::{Mode, Sample, Signal, Value};
-use stiction_core::sim::scenario::Scenario;
-use stiction_core::units::s_from_ns;
-use stiction_monitor::alarm::LoopContext;
-use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, PlantWatch};
-use stiction_runtime::overview::{ObstacleKind, Overview};
+use stiction::core::record::{Mode, Sample, Signal, Value};
+use stiction::core::sim::scenario::Scenario;
+use stiction::core::units::s_from_ns;
+use stiction_engine::alarm::LoopContext;
+use stiction_engine::config::Config;
+use stiction_engine::engine::{Engine, Event, PlantWatch};
+use stictiond::runtime::overview::{ObstacleKind, Overview};
 
 const SCENARIO: &str = include_str!("../../recordings/scenarios/sticking.toml");
 /// Time of the plant up to which every loop sends, and after which nothing is simulated, s: the window to 800 s is complete.

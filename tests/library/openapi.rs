@@ -6,8 +6,8 @@ use std::collections::BTreeSet;
 
 use serde_json::Value;
 
-use stiction_web::openapi;
-use stiction_web::table::Operation;
+use stictiond::web::openapi;
+use stictiond::web::table::Operation;
 
 fn is_whole<S>(operations: &[Operation<S>]) {
     let whole = openapi::document(operations);
@@ -34,6 +34,6 @@ fn is_whole<S>(operations: &[Operation<S>]) {
 
 #[test]
 fn both_descriptions_are_whole() {
-    is_whole(&stiction_web::api::operations());
-    is_whole(&stiction_workbench::operations());
+    is_whole(&stictiond::web::api::operations());
+    is_whole(&stictiond::web::workbench::operations());
 }

@@ -152,15 +152,15 @@ fn sorted(mut names: Vec<String>) -> Vec<String> {
 #[test]
 fn tables_list_what_there_is() {
     let names = |all: Vec<&'static str>| all.into_iter().map(str::to_owned).collect::<Vec<_>>();
-    let solvers = names(stiction_core::optim::ALL.iter().map(|s| s.name()).collect());
+    let solvers = names(stiction::core::optim::ALL.iter().map(|s| s.name()).collect());
     assert_eq!(column("docs/commands.md", "solver"), solvers);
-    let formats = names(stiction_monitor::codec::ALL.iter().map(|c| c.name()).collect());
+    let formats = names(stiction_engine::codec::ALL.iter().map(|c| c.name()).collect());
     assert_eq!(column("docs/live-formats.md", "format"), formats);
-    let gates = names(stiction_core::verdict::Gate::ALL.iter().map(|g| g.name()).collect());
+    let gates = names(stiction::core::verdict::Gate::ALL.iter().map(|g| g.name()).collect());
     assert_eq!(column("docs/verdicts.md", "gate"), gates);
-    let effects = names(stiction_core::gap::effects::ALL.iter().map(|e| e.id).collect());
+    let effects = names(stiction::core::gap::effects::ALL.iter().map(|e| e.id).collect());
     assert_eq!(column("docs/gap.md", "effect"), effects);
-    let indicators = names(stiction_core::verdict::features::names().collect());
+    let indicators = names(stiction::core::verdict::features::names().collect());
     assert_eq!(sorted(column("docs/method.md", "indicator")), sorted(indicators));
 }
 

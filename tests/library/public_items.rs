@@ -1,5 +1,5 @@
 //! `crates/stiction/public-items.txt` lists the public items of the library (fields, variants and methods of traits aside),
-//! so that a review shows what a change adds or takes away. What it takes from `stiction-core` is looked up there.
+//! so that a review shows what a change adds or takes away. What it takes from its module `core`, which is no public interface, is looked up there.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -9,10 +9,8 @@ use std::path::{Path, PathBuf};
 
 use syn::{ImplItem, Item, UseTree, Visibility};
 
-/// Names from the library's root, outermost first; those of the crate behind it begin with [`CORE`].
+/// Names from the library's root, outermost first.
 type Names = Vec<String>;
-
-const CORE: &str = "stiction_core";
 
 /// An item by another name: its target, and whether other modules see it.
 struct Alias {
@@ -41,6 +39,14 @@ fn is_public(visibility: &Visibility) -> bool {
     matches!(visibility, Visibility::Public(_))
 }
 
+/// Whether a module is left out of the documentation: it is no public interface.
+fn is_hidden(item: &[syn::Attribute]) -> bool {
+    item.iter().any(|attribute| {
+        attribute.path().is_ident("doc")
+            && attribute.parse_args::<syn::Path>().is_ok_and(|name| name.is_ident("hidden"))
+    })
+}
+
 /// Whether an item is compiled for tests only.
 fn is_test(item: &[syn::Attribute]) -> bool {
     item.iter().any(|attribute| {
@@ -50,11 +56,10 @@ fn is_test(item: &[syn::Attribute]) -> bool {
 }
 
 impl Library {
-    /// The crate whose root is a file, and the crate behind it.
-    fn read(root: &Path, core: &Path) -> Self {
+    /// The crate whose root is a file.
+    fn read(root: &Path) -> Self {
         let mut library = Self::default();
         library.add_file(root, root.parent().unwrap(), Names::new(), true);
-        library.add_file(core, core.parent().unwrap(), vec![CORE.to_owned()], false);
         library
     }
 
@@ -72,7 +77,8 @@ impl Library {
                 Item::Mod(inner) if !is_test(&inner.attrs) => {
                     let name = inner.ident.to_string();
                     let below: Names = names.iter().cloned().chain([name.clone()]).collect();
-                    let (is_public, own_folder) = (is_public(&inner.vis), folder.join(&name));
+                    let (is_public, own_folder) =
+                        (is_public(&inner.vis) && !is_hidden(&inner.attrs), folder.join(&name));
                     match inner.content {
                         Some((_, items)) => self.add(items, &own_folder, below, is_public),
                         None => self.add_file(&file_of(folder, &name), &own_folder, below, is_public),
@@ -209,13 +215,9 @@ impl Module {
 fn from_root(module: &[String], path: Names) -> Names {
     let mut from = module.to_vec();
     let mut rest = &path[..];
-    match rest.first().map(String::as_str) {
-        Some("crate") => {
-            from.truncate(usize::from(from.first().is_some_and(|name| name == CORE)));
-            rest = &rest[1..];
-        }
-        Some(CORE) => from.clear(),
-        _ => {}
+    if rest.first().is_some_and(|name| name == "crate") {
+        from.clear();
+        rest = &rest[1..];
     }
     while let Some(name) = rest.first().filter(|name| ["self", "super"].contains(&name.as_str())) {
         if name == "super" {
@@ -230,8 +232,7 @@ fn from_root(module: &[String], path: Names) -> Names {
 #[test]
 fn the_public_items_are_those_that_are_kept() {
     let home = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates");
-    let roots = ["stiction", "stiction-core"].map(|name| home.join(name).join("src/lib.rs"));
-    let found = Library::read(&roots[0], &roots[1]).public_items();
+    let found = Library::read(&home.join("stiction/src/lib.rs")).public_items();
     let path = home.join("stiction/public-items.txt");
     if std::env::var("STICTIOND_GOLDEN").is_ok_and(|wish| wish == "write") {
         fs::write(&path, found.iter().map(|line| format!("{line}\n")).collect::<String>()).unwrap();
@@ -248,18 +249,18 @@ fn an_item_is_listed_by_each_name_that_reaches_it_and_not_by_others() {
     let write = |name: &str, text: &str| fs::write(dir.path().join(name), text).unwrap();
     write(
         "lib.rs",
-        "pub mod a;\nmod b;\npub use b::Hidden as Shown;\npub use stiction_core::d::D;\npub fn f() {}\nfn g() {}\n#[cfg(test)] mod tests;\n",
+        "pub mod a;\nmod b;\n#[doc(hidden)]\npub mod core;\npub use b::Hidden as Shown;\npub use crate::core::d::D;\npub fn f() {}\nfn g() {}\n#[cfg(test)] mod tests;\n",
     );
     write(
         "core.rs",
-        "pub mod c { pub struct C; impl C { pub fn of() {} } }\npub mod d { pub use crate::c::C as D; pub fn e() {} }\n",
+        "pub mod c { pub struct C; impl C { pub fn of() {} } }\npub mod d { pub use crate::core::c::C as D; pub fn e() {} }\n",
     );
     write(
         "a.rs",
         "pub use crate::b::*;\nimpl Hidden { pub fn m(&self) {} fn n(&self) {} }\npub(crate) const C: u8 = 1;\n",
     );
     write("b.rs", "pub struct Hidden;\npub(crate) struct Own;\nimpl Hidden { pub const K: u8 = 1; }\n");
-    let found = Library::read(&dir.path().join("lib.rs"), &dir.path().join("core.rs")).public_items();
+    let found = Library::read(&dir.path().join("lib.rs")).public_items();
     let listed: Vec<&str> = found.iter().map(String::as_str).collect();
     let expected = [
         "D struct",

@@ -2,12 +2,12 @@
 
 use std::fs;
 
-use stiction_core::verdict::texts::ALL;
-use stiction_monitor::status::Sign;
+use stiction::core::verdict::texts::ALL;
+use stiction_engine::status::Sign;
 
 #[test]
 fn the_page_and_the_documentation_say_what_the_list_says() {
-    let entry = |t: &stiction_core::verdict::texts::Text| {
+    let entry = |t: &stiction::core::verdict::texts::Text| {
         format!("  {}: {{ short: {:?}, words: {:?} }},\n", t.id, t.short, t.sentence)
     };
     let entries: String = ALL.iter().map(entry).collect();
@@ -20,7 +20,7 @@ fn the_page_and_the_documentation_say_what_the_list_says() {
         "// The texts of verdicts and of NE 107's signs, from the program's own lists; a test compares them.\n\nexport const VERDICTS = \
          {{\n{entries}}};\n\nexport const SIGNS = {{\n{signs}}};\n"
     );
-    assert_eq!(fs::read_to_string("crates/stiction-web/src/assets/verdicts.js").unwrap(), page);
+    assert_eq!(fs::read_to_string("src/web/assets/verdicts.js").unwrap(), page);
     let documented = fs::read_to_string("docs/verdicts.md").unwrap();
     for text in ALL {
         let row = format!("| {} | {} |", text.sentence, text.action);

@@ -9,7 +9,7 @@ from conftest import PREFIX, api, loop_path
 from mcap.reader import make_reader
 from playwright.sync_api import expect
 
-from daemon import eventually, stictiond
+from daemon import eventually, stiction_lab, stictiond
 
 LOOP = "FIC101"
 PATH = f"#/loop/{LOOP}"
@@ -251,7 +251,7 @@ def test_a_review_is_kept_and_evaluate_takes_it(plant, page):
     with index.open(newline="") as file:
         kept = [row for row in csv.DictReader(file) if row["loop"] == LOOP]
     assert kept[-1]["by"] == "Ann <b>" and kept[-1]["why"] == 'stem moved after 6 %, "twice", and, late', kept
-    code, out, said = stictiond("evaluate", index)
+    code, out, said = stiction_lab("evaluate", index)
     assert code == 0 and re.search(r"1\b", out), (out, said)
     print("\n" + "\n".join(f"  {line}" for line in out.splitlines()[:6]))
     assert plant.get("/api/v1/reviews.csv") == index.read_text()

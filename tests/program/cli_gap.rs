@@ -8,8 +8,8 @@ use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
 use serde_json::Value;
-use stiction_core::gap::document::GapDocument;
-use stiction_truth::fixture::Loop;
+use stiction::core::gap::document::GapDocument;
+use stiction_lab::truth::fixture::Loop;
 
 fn stictiond(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_stictiond")).args(arguments).output().unwrap()
@@ -167,7 +167,7 @@ fn a_lag_behind_the_valve_is_named_and_closes_the_gap() {
 fn the_text_can_be_read_aloud() {
     let (d, _, _) = lagging();
     let document: GapDocument = serde_json::from_value(d.clone()).unwrap();
-    let text = stiction_core::gap::text::paragraph(&document);
+    let text = stiction::core::gap::text::paragraph(&document);
     for part in ["an extra lag of", "what is left is", "of PV's movement"] {
         assert!(text.contains(part), "{part:?} is missing: {text}");
     }

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use stiction_core::record::Record;
+use stiction::core::record::Record;
 use stiction_lab::plants::{Relation, disturbed, unrelated_loops};
 
 /// A case whose driver shows clearly.

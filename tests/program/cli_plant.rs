@@ -20,7 +20,7 @@ pub fn written(folder: &Path) -> Vec<CaseLoop> {
         let mut text = "t,op,pv,sp\n".to_owned();
         let sp = record.sp.clone().unwrap();
         for (k, ((op, pv), sp)) in record.op().iter().zip(&record.pv).zip(sp).enumerate() {
-            let t = 1_767_600_000.0 + stiction_core::units::s_from_ns(record.start_ns) + k as f64 * record.ts_s;
+            let t = 1_767_600_000.0 + stiction::core::units::s_from_ns(record.start_ns) + k as f64 * record.ts_s;
             writeln!(text, "{t},{op},{pv},{sp}").unwrap();
         }
         fs::write(folder.join(format!("{}.csv", one.name)), text).unwrap();

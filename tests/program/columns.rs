@@ -10,10 +10,10 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use crate::common::program::{expect, stdout};
-use stiction_core::record::Signal;
+use stiction::core::record::Signal;
+use stiction_engine::codec::topic::{self, Kind};
 use stiction_files::archive::{Archive, Reach, Wanted};
 use stiction_files::{RecordingReader, load_samples};
-use stiction_monitor::codec::topic::{self, Kind};
 
 /// The shipped scenario of four loops, with results, in both forms: JSON and columns. Made once for all tests.
 fn both(dir: &Path) -> [String; 2] {

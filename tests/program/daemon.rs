@@ -13,8 +13,8 @@ use std::time::Duration;
 use crate::common;
 use crate::live::{Daemon, FAST, documents, files, free_port, ok, sticking, stictiond, wait_for};
 use serde_json::Value;
+use stiction_engine::codec::topic::Kind;
 use stiction_files::RecordingReader;
-use stiction_monitor::codec::topic::Kind;
 use zenoh::Wait;
 
 #[test]
@@ -187,7 +187,7 @@ fn a_changed_recording_fails_verification_and_another_version_is_refused() {
                 *data = text.into_bytes();
             }
         },
-        stiction_core::VERSION,
+        stiction::core::VERSION,
     );
     let out = stictiond(&["replay", touched.to_str().unwrap(), "--verify"]);
     assert_eq!(out.status.code(), Some(1));

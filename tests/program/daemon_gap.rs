@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 
 use crate::live::{Daemon, FAST, ask, documents, files, ok, plane, sticking, stictiond, wait_for};
 use serde_json::Value;
-use stiction_monitor::codec::topic::Kind;
+use stiction_engine::codec::topic::Kind;
 use zenoh::Wait;
 
 const SMALL: &str = "[gap]\nbudget_evaluations = 3000\n";

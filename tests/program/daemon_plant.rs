@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde_json::Value;
-use stiction_monitor::codec::topic::Kind;
+use stiction_engine::codec::topic::Kind;
 
 use super::cli_plant::written;
 use super::live::{Daemon, ask, documents, files, ok, plane, wait_for};

@@ -169,7 +169,7 @@ fn a_wrong_command_line_is_not_accepted() {
     {
         assert!(fault(wrong).is_some(), "{wrong}");
     }
-    for right in ["stictiond demo --for SECONDS  # so long", "cargo run --release -- bench --rate 5 | head"] {
+    for right in ["stictiond demo --for SECONDS  # so long", "cargo run --release -- demo --for 5 | head"] {
         assert_eq!(fault(right), None, "{right}");
     }
 }

@@ -6,10 +6,10 @@ use proptest::prelude::*;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use stiction_core::record::{Mode, Sample, Signal, Value};
+use stiction::core::record::{Mode, Sample, Signal, Value};
+use stiction_engine::codec::encode_recorded;
+use stiction_engine::codec::topic::Kind;
 use stiction_files::{End, METADATA_PREFIX, RecordingFile, RecordingReader, load_samples};
-use stiction_monitor::codec::encode_recorded;
-use stiction_monitor::codec::topic::Kind;
 
 /// Flips of the long tests; set higher by whoever has the time.
 fn flips(few: usize) -> usize {

@@ -61,27 +61,8 @@ fn a_short_or_empty_file_is_an_error_that_says_how_much_is_needed() {
     for arguments in [&["analyze"][..], &["nonsense"], &["analyze", "x.csv", "--samples", "5,5"]] {
         assert_eq!(stictiond(arguments).status.code(), Some(2), "{arguments:?}");
     }
-    for command in
-        ["run", "demo", "play", "replay", "analyze", "evaluate", "simulate", "convert", "check", "info", "bench"]
-    {
+    for command in ["run", "demo", "play", "replay", "analyze", "simulate", "convert", "check", "info"] {
         let help = stictiond(&[command, "--help"]);
         assert!(help.status.success() && !help.stdout.is_empty(), "{command}");
     }
-}
-
-#[test]
-fn evaluate_goes_on_over_missing_files_and_counts_what_is_right() {
-    let dir = tempfile::tempdir().unwrap();
-    let csv = dir.path().join("sticking.csv");
-    assert!(stictiond(&["convert", "recordings/sticking.mcap", csv.to_str().unwrap()]).status.success());
-    let index = dir.path().join("INDEX.csv");
-    fs::write(&index, "note,file,label\na,sticking.csv,stiction\nb,gone.csv,tuning\nc,sticking.csv,unknown\n").unwrap();
-    let out = stictiond(&["evaluate", index.to_str().unwrap(), "--format", "json"]);
-    assert!(out.status.success());
-    let text = String::from_utf8(out.stdout).unwrap();
-    let last: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
-    assert_eq!(
-        (&last["all"]["found"], &last["all"]["errors"], &last["all"]["total"]),
-        (&1.into(), &1.into(), &2.into())
-    );
 }

@@ -2,7 +2,7 @@
 //! no replay takes them for input.
 
 use serde_json::{Value, json};
-use stiction_monitor::codec::topic;
+use stiction_engine::codec::topic;
 
 /// Name of the messages' schema, by which viewers recognise them.
 pub const LOG_SCHEMA: &str = "foxglove.Log";

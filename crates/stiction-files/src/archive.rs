@@ -16,10 +16,10 @@ use super::columns;
 use super::mcap_index::MAX_RECORD;
 use super::mcap_read::RecordingReader;
 use super::run::FilePlace;
-use stiction_core::record::{Sample, Signal};
-use stiction_monitor::codec::encode_recorded;
-use stiction_monitor::codec::topic::{self, Kind, Leaf, Topic};
-use stiction_monitor::engine::StateDocument;
+use stiction::core::record::{Sample, Signal};
+use stiction_engine::codec::encode_recorded;
+use stiction_engine::codec::topic::{self, Kind, Leaf, Topic};
+use stiction_engine::engine::StateDocument;
 
 /// Most time ranges cached by file and topic; when full, the cache is emptied.
 const REMEMBERED: usize = 100_000;
@@ -409,7 +409,7 @@ mod tests {
         let prefix = reader.metadata().get("prefix").unwrap().clone();
         let archive = Archive::new(dir.path(), &prefix);
         let loops = super::super::load_samples(&dir.path().join("cut.mcap.part")).unwrap().loops;
-        let topic = stiction_monitor::codec::topic::raw(&prefix, &loops[0].name, stiction_core::record::Signal::Pv);
+        let topic = stiction_engine::codec::topic::raw(&prefix, &loops[0].name, stiction::core::record::Signal::Pv);
         let (reach, found) = all(&archive, &topic, [i64::MIN, i64::MAX]);
         assert_eq!(reach, Reach::All);
         assert!(found.len() > 100, "{}", found.len());
@@ -423,10 +423,10 @@ mod tests {
         let mut file = crate::RecordingFile::create(dir, &stem, &metadata.into_iter().collect()).unwrap();
         if let Some(before_s) = before_s {
             let mut engine =
-                stiction_monitor::engine::Engine::new(stiction_monitor::config::Config::with_prefix("p").engine());
+                stiction_engine::engine::Engine::new(stiction_engine::config::Config::with_prefix("p").engine());
             let id = engine.appear("A").unwrap();
             for signal in [Signal::Op, Signal::Pv] {
-                let value = stiction_core::record::Value::Number(1.0);
+                let value = stiction::core::record::Value::Number(1.0);
                 engine.push(id, Sample { signal, t_ns: before_s * S, value, quality: None }, &mut Vec::new());
             }
             let state = StateDocument::new("A", None, engine.checkpoint(id));
@@ -434,7 +434,7 @@ mod tests {
             file.write(&topic, Kind::State, 1, 1, &serde_json::to_vec(&state).unwrap()).unwrap();
         }
         for t_s in stamps_s {
-            let value = stiction_core::record::Value::Number(t_s as f64);
+            let value = stiction::core::record::Value::Number(t_s as f64);
             let sample = Sample { signal: Signal::Pv, t_ns: t_s * S, value, quality: None };
             file.sample(&topic::raw("p", "A", Signal::Pv), t_s * S, &sample).unwrap();
         }

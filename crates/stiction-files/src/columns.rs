@@ -1,8 +1,8 @@
 //! Raw samples of many loops in one message, stored column by column: what `[recording] raw = "columns"` writes. [`LAYOUT`]
 //! is the complete format, and is in every such file as its schema.
 
-use stiction_core::record::{Mode, Value};
-use stiction_monitor::codec::topic;
+use stiction::core::record::{Mode, Value};
+use stiction_engine::codec::topic;
 use thiserror::Error;
 
 /// Name of the schema.

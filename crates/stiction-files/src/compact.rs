@@ -7,8 +7,8 @@
 use super::mat::{self, Mat, MatError};
 use std::io::Write;
 use std::path::Path;
-use stiction_core::record::{Sample, Signal, Value};
-use stiction_core::units::{NS_PER_S, format_rfc3339, parse_time, s_from_ns};
+use stiction::core::record::{Sample, Signal, Value};
+use stiction::core::units::{NS_PER_S, format_rfc3339, parse_time, s_from_ns};
 use thiserror::Error;
 
 /// Variable with the number of loops.

@@ -11,9 +11,9 @@ use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
-use stiction_core::record::{Mode, Sample, Signal, Value};
-use stiction_core::units::{TimeError, format_seconds, parse_time};
-use stiction_monitor::analysis::rows::{Joined, Rows};
+use stiction::core::record::{Mode, Sample, Signal, Value};
+use stiction::core::units::{TimeError, format_seconds, parse_time};
+use stiction_engine::analysis::rows::{Joined, Rows};
 use thiserror::Error;
 
 /// Columns after `t` in the order of writing.

@@ -1,8 +1,8 @@
 //! Resamples irregular samples to a constant rate.
 
 use super::LoadedLoop;
-use stiction_core::record::{Sample, Signal, Value};
-use stiction_core::units::{ns_from_s, s_from_ns};
+use stiction::core::record::{Sample, Signal, Value};
+use stiction::core::units::{ns_from_s, s_from_ns};
 
 /// Gaps of more than this many steps, of the new rate or of the signal's own, remain data gaps.
 const LONGEST_STEPS: i64 = 5;

@@ -5,10 +5,10 @@ use std::path::Path;
 use anyhow::{Context, bail};
 
 use crate::LoadedLoop;
-use stiction_core::units::LoopKind;
-use stiction_core::verdict::AssessParams;
-use stiction_monitor::analysis::{AnalysisError, Judgeable, Points};
-use stiction_monitor::config::Config;
+use stiction::core::units::LoopKind;
+use stiction::core::verdict::AssessParams;
+use stiction_engine::analysis::{AnalysisError, Judgeable, Points};
+use stiction_engine::config::Config;
 
 /// One line of an index.
 #[derive(Debug, Clone, PartialEq)]

@@ -38,9 +38,9 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
-use stiction_core::record::{Sample, Signal, Value};
-use stiction_monitor::codec;
-use stiction_monitor::codec::topic::{Leaf, Topic};
+use stiction::core::record::{Sample, Signal, Value};
+use stiction_engine::codec;
+use stiction_engine::codec::topic::{Leaf, Topic};
 use thiserror::Error;
 
 /// Name of the metadata record in the program's recordings.

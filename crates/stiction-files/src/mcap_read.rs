@@ -18,7 +18,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use stiction_monitor::codec::topic::Kind;
+use stiction_engine::codec::topic::Kind;
 use thiserror::Error;
 use unpack::Unpacked;
 pub use unpack::{Item, RawSample};

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use mcap::records::Metadata;
 
 use super::columns;
-use stiction_monitor::codec::topic::Kind;
-use stiction_monitor::short_hash;
+use stiction_engine::codec::topic::Kind;
+use stiction_engine::short_hash;
 
 /// Name of the metadata records with the list.
 pub(super) const NAME: &str = "stictiond.channels";

@@ -20,7 +20,7 @@ use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use stiction_monitor::codec::topic::Kind;
+use stiction_engine::codec::topic::Kind;
 use thiserror::Error;
 
 /// Most channels per file: every file repeats its channels, and indexes grow with them.
@@ -189,7 +189,7 @@ impl RecordingFile {
         let sink = Counted { inner, written: Arc::clone(&written), sum: Arc::clone(&sum) };
         // Whole chunks reach the file at once (no seeking back), so a reader of the open file meets none half written.
         let options = WriteOptions::new()
-            .library(format!("stictiond {}", stiction_core::VERSION))
+            .library(format!("stictiond {}", stiction::core::VERSION))
             .compression(Some(Compression::Zstd))
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES))

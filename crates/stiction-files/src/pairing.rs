@@ -7,10 +7,10 @@ use anyhow::bail;
 use serde_json::json;
 
 use crate::export::names::role;
-use stiction_core::record::Signal;
-use stiction_core::units::{is_loop_name, loop_name_from};
-use stiction_monitor::codec::{self, Bundle, Memory};
-use stiction_monitor::config::NAME_MARK;
+use stiction::core::record::Signal;
+use stiction::core::units::{is_loop_name, loop_name_from};
+use stiction_engine::codec::{self, Bundle, Memory};
+use stiction_engine::config::NAME_MARK;
 
 /// Most keys and names examined.
 const MAX_NAMES: usize = 1_000_000;
@@ -206,7 +206,7 @@ fn rest(text: &mut String, count: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_monitor::config::Config;
+    use stiction_engine::config::Config;
 
     #[test]
     fn loops_of_a_bus_are_paired_and_the_rest_is_said() {

@@ -98,8 +98,8 @@ mod write {
     use super::{DAY, FILE, LOOP, encoded};
     use crate::csv::{COLUMNS, Row, rows_of};
     use crate::{LoadedLoop, sync_folder};
-    use stiction_core::record::{Signal, Value};
-    use stiction_core::units::format_rfc3339;
+    use stiction::core::record::{Signal, Value};
+    use stiction::core::units::format_rfc3339;
 
     /// An error while writing.
     #[derive(Debug, Error)]

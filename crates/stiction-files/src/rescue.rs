@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::{End, Item, ReadError, RecordingFile, RecordingReader, WriteError};
-use stiction_monitor::codec::topic::Kind;
+use stiction_engine::codec::topic::Kind;
 
 /// Metadata key of a recording whose samples were removed.
 pub const SAMPLES_KEY: &str = "samples";

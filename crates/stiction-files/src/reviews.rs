@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 
 use super::LoadedLoop;
 use super::csv as table;
-use stiction_core::units::{Moment, file_stem_of, s_from_ns};
-use stiction_monitor::short_hash;
+use stiction::core::units::{Moment, file_stem_of, s_from_ns};
+use stiction_engine::short_hash;
 
 /// Name of the folder below the recordings.
 pub const FOLDER: &str = "reviews";
@@ -316,7 +316,7 @@ fn table_name(review: &Review) -> String {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use stiction_core::record::{Sample, Signal, Value};
+    use stiction::core::record::{Sample, Signal, Value};
 
     fn review(name: &str, why: Option<&str>) -> Review {
         Review {

@@ -7,8 +7,8 @@ use anyhow::{anyhow, bail};
 
 use crate::rescue::{REMOVED, SAMPLES_KEY};
 use crate::{InputKind, RecordingReader};
-use stiction_monitor::config::Config;
-use stiction_monitor::engine::{EngineSettings, Origins};
+use stiction_engine::config::Config;
+use stiction_engine::engine::{EngineSettings, Origins};
 
 /// Metadata of a run that goes on from another: the first file that its loops were read from.
 pub const REFILLED_FROM: &str = "refilled_from";

@@ -4,7 +4,7 @@
 //! data. Extra fields are allowed everywhere.
 
 use serde_json::{Map, Value, json};
-use stiction_monitor::codec::topic::Kind;
+use stiction_engine::codec::topic::Kind;
 
 const TIME: &[&str] = &["t"];
 

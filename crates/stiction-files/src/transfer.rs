@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::{LoadedLoop, METADATA_PREFIX, RecordingFile, WriteError};
-use stiction_core::units::{is_loop_name, loop_name_from};
-use stiction_monitor::codec::topic;
+use stiction::core::units::{is_loop_name, loop_name_from};
+use stiction_engine::codec::topic;
 
 /// Writes loops as a recording, first to `part`, which becomes `target` once complete. `about` gives origin and source.
 /// Returns the number of samples.
@@ -38,7 +38,7 @@ pub fn loops_as_recording(
 
 fn metadata_of(prefix: &str, [origin, source]: [&str; 2]) -> BTreeMap<String, String> {
     let pairs =
-        [("origin", origin), (METADATA_PREFIX, prefix), ("source", source), ("version", stiction_core::VERSION)];
+        [("origin", origin), (METADATA_PREFIX, prefix), ("source", source), ("version", stiction::core::VERSION)];
     BTreeMap::from(pairs.map(|(key, value)| (key.to_owned(), value.to_owned())))
 }
 
@@ -58,7 +58,7 @@ fn fill(mut file: RecordingFile, prefix: &str, loops: &[LoadedLoop]) -> Result<u
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_core::record::{Sample, Signal, Value};
+    use stiction::core::record::{Sample, Signal, Value};
 
     #[test]
     fn a_recording_in_memory_is_the_one_that_a_file_would_be() {

@@ -2,14 +2,14 @@
 
 use serde::Serialize;
 
-use stiction_core::guard::Excess;
-use stiction_core::signal::stats;
-use stiction_core::sim::closed_loop::{Stem, ValveLaw, ValveModel};
-use stiction_core::sim::process::ProcessState;
-use stiction_core::verdict::bump_test::{BumpTest, Refusal, bump_test};
-use stiction_core::verdict::{AssessParams, Assessment, assess};
-use stiction_truth::draw::Draw;
-use stiction_truth::{Half, Regime, TruthLoop};
+use crate::truth::draw::Draw;
+use crate::truth::{Half, Regime, TruthLoop};
+use stiction::core::guard::Excess;
+use stiction::core::signal::stats;
+use stiction::core::sim::closed_loop::{Stem, ValveLaw, ValveModel};
+use stiction::core::sim::process::ProcessState;
+use stiction::core::verdict::bump_test::{BumpTest, Refusal, bump_test};
+use stiction::core::verdict::{AssessParams, Assessment, assess};
 
 /// Ends of the noise levels, shares of PV's spread.
 pub const NOISE: [f64; 5] = [0.005, 0.01, 0.02, 0.05, 0.1];
@@ -53,7 +53,7 @@ pub fn sticking(half: Half, law: &'static str, seed: u64) -> Option<Trial> {
         [Regime::TrackingStart, Regime::TrackingSteady, Regime::TrackingSetPoint],
     ];
     let of_law = REGIMES[usize::from(law == LAWS[1])];
-    let case = stiction_truth::accuracy(half, of_law[(seed % 3) as usize], seed);
+    let case = crate::truth::accuracy(half, of_law[(seed % 3) as usize], seed);
     let a = assess(&case.record(), &AssessParams { always_fit: true, ..AssessParams::default() });
     // A test is proposed to those that are found.
     (a.stiction == Some(true)).then(|| trial(&case, &a))

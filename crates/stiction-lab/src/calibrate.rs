@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use stiction_core::verdict::features::{Features, Figures};
-use stiction_core::verdict::rule::{Cuts, Logistic, Made, Rule, Weight, logistic};
-use stiction_core::verdict::tally::Scored;
+use stiction::core::verdict::features::{Features, Figures};
+use stiction::core::verdict::rule::{Cuts, Logistic, Made, Rule, Weight, logistic};
+use stiction::core::verdict::tally::Scored;
 
 /// One case with a known truth, as it is kept between fits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,7 +26,7 @@ pub struct Example {
     pub truth: bool,
     /// The blocking gate that leaves it without an answer.
     pub gate: Option<String>,
-    /// The figures of every window that it is judged in, see [`stiction_core::verdict::figures`].
+    /// The figures of every window that it is judged in, see [`stiction::core::verdict::figures`].
     pub windows: Vec<Figures>,
 }
 
@@ -235,9 +235,9 @@ pub fn leave_one_valve_out<'e>(examples: &'e [Example], settings: &Settings) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_core::detect::{ALL, Detector};
-    use stiction_core::verdict::features::FitFigures;
-    use stiction_core::verdict::tally::{Tally, miscalibration, reliability_equal};
+    use stiction::core::detect::{ALL, Detector};
+    use stiction::core::verdict::features::FitFigures;
+    use stiction::core::verdict::tally::{Tally, miscalibration, reliability_equal};
 
     fn settings(features: &[&str]) -> Settings {
         Settings {

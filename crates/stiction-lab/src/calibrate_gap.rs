@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use stiction_core::gap::probability::{Features, NAMES, Outcome, Weights, softmax};
+use stiction::core::gap::probability::{Features, NAMES, Outcome, Weights, softmax};
 
 /// Newton steps of a fit, and the digits that a weight keeps.
 const STEPS: usize = 40;
@@ -52,7 +52,7 @@ pub fn fit(cases: &[(Features, Outcome, f64)], ridge: f64) -> Weights {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_core::gap::probability::Calibration;
+    use stiction::core::gap::probability::Calibration;
 
     fn features(lead: f64, closed: f64) -> Features {
         let mut values = [0.0; NAMES.len()];
@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn weights_are_recovered() {
-        let mut noise = stiction_core::sim::noise::Noise::new(5, 0);
+        let mut noise = stiction::core::sim::noise::Noise::new(5, 0);
         let truth = |lead: f64, closed: f64| softmax([4.0 * lead - 1.5, 2.0 * closed - 1.0]);
         let cases: Vec<_> = (0..6000)
             .map(|_| {

@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use stiction_core::detect::oscillation;
-use stiction_core::ident::width::{Floor, Intervals, Settings, Spread, Trust};
-use stiction_core::ident::{Options, quantify};
-use stiction_core::signal::stats;
-use stiction_truth::{Half, Regime};
+use crate::truth::{Half, Regime};
+use stiction::core::detect::oscillation;
+use stiction::core::ident::width::{Floor, Intervals, Settings, Spread, Trust};
+use stiction::core::ident::{Options, quantify};
+use stiction::core::signal::stats;
 
 /// One simulated loop: what is true, what was estimated, what the likelihood says. OP units.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,7 +30,7 @@ pub struct Row {
 /// Fits one simulated loop as the daemon fits any; `None` where the fit finds nothing.
 #[must_use]
 pub fn look(half: Half, regime: Regime, seed: u64) -> Option<Row> {
-    let case = stiction_truth::accuracy(half, regime, seed);
+    let case = crate::truth::accuracy(half, regime, seed);
     let record = case.record();
     let period_points = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let options = Options { seed, period_points, ..Options::default() };
@@ -170,8 +170,8 @@ pub fn table(rows: &[Row], settings: &Settings) -> Vec<Coverage> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_core::ident::residual::Whiteness;
-    use stiction_core::ident::width::THIRDS;
+    use stiction::core::ident::residual::Whiteness;
+    use stiction::core::ident::width::THIRDS;
 
     /// A white fit whose s is off by a share of what the interval holds.
     fn row(off: f64) -> Row {

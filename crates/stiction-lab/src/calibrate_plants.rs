@@ -5,14 +5,14 @@ use serde::Serialize;
 
 use crate::calibrate::regress;
 use crate::plants::{CaseLoop, Difficulty, Role, plant, stretched};
-use stiction_core::plantwide::{
+use crate::truth::Half;
+use crate::truth::draw::Draw;
+use stiction::core::plantwide::{
     Calibration, Chance, GroupDocument, Logit, Made, PairFigures, PlantLoop, SourceKind, assess_plant_by, frequency_hz,
     group_figures, member_figures, pair_figures, source_figures,
 };
-use stiction_core::units::ns_from_s;
-use stiction_core::verdict::{AssessParams, Assessment, assess};
-use stiction_truth::Half;
-use stiction_truth::draw::Draw;
+use stiction::core::units::ns_from_s;
+use stiction::core::verdict::{AssessParams, Assessment, assess};
 
 /// How the rules are fitted.
 #[derive(Debug, Clone, Copy, PartialEq)]

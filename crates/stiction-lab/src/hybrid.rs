@@ -4,14 +4,14 @@
 //! The differences to the recording are simulated: PV's by the noise model's A and B from the difference that OP makes,
 //! OP's by the controller as read from the recording. Without an effect the recording itself comes out.
 
-use stiction_core::gap::budget::Budget;
-use stiction_core::gap::budget::search::Model;
-use stiction_core::gap::budget::series::Series;
-use stiction_core::ident::controller::Reading;
-use stiction_core::record::Record;
-use stiction_core::signal::stats::std_dev;
-use stiction_core::signal::{detrend, stats};
-use stiction_truth::draw::Draw;
+use crate::truth::draw::Draw;
+use stiction::core::gap::budget::Budget;
+use stiction::core::gap::budget::search::Model;
+use stiction::core::gap::budget::series::Series;
+use stiction::core::ident::controller::Reading;
+use stiction::core::record::Record;
+use stiction::core::signal::stats::std_dev;
+use stiction::core::signal::{detrend, stats};
 
 /// Effects that are put in.
 pub const EFFECTS: [&str; 5] = ["step_load", "outliers", "sinusoid", "ramp", "gain_drift"];
@@ -176,9 +176,9 @@ fn draw_of(effect: &str, seed: u64) -> Draw {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_core::gap::budget::Known;
-    use stiction_core::ident::controller;
-    use stiction_core::sim::noise::Noise;
+    use stiction::core::gap::budget::Known;
+    use stiction::core::ident::controller;
+    use stiction::core::sim::noise::Noise;
 
     /// A PI loop with a load that wanders.
     fn record() -> Record {

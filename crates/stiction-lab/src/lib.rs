@@ -1,10 +1,11 @@
-//! What proves [`stiction_core`], on the loops of [`stiction_truth`]: a sealed challenge for the gap diagnosis with its scorer,
+//! What proves [`stiction::core`], on the loops of [`crate::truth`]: a sealed challenge for the gap diagnosis with its scorer,
 //! and the fits of the verdict's rule and of the intervals to what was simulated and labelled.
 //!
 //! The library cannot use any of this, as it does not depend on this crate.
 //!
 //! | room | |
 //! |---|---|
+//! | [`truth`] | simulated loops of known truth, and published methods to compare with |
 //! | [`challenge`] | recordings with one withheld cause each, their sealed truth, the scorer |
 //! | [`hybrid`] | effects put into real loops that are closed again |
 //! | [`bump_test`] | the bump test that an estimate proposes, carried out on simulated valves |
@@ -24,3 +25,4 @@ pub mod calibrate_plants;
 pub mod challenge;
 pub mod hybrid;
 pub mod plants;
+pub mod truth;

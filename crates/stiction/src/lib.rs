@@ -131,35 +131,39 @@
 //! No file, socket, clock, thread, environment or unseeded random numbers: the same record gives bit-identical results on
 //! every machine. Transcendental functions come from `libm`, because system libraries differ in the last bit.
 
-pub use stiction_core::VERSION;
-pub use stiction_core::record::Record;
-pub use stiction_core::units::LoopKind;
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
+
+/// The science behind the items below, for the programs of this repository: its items change without notice.
+#[doc(hidden)]
+pub mod core;
+
+pub use crate::core::VERSION;
+pub use crate::core::record::Record;
+pub use crate::core::units::LoopKind;
 
 // Verdicts.
-pub use stiction_core::verdict::words::{advice, headline};
-pub use stiction_core::verdict::{
+pub use crate::core::verdict::words::{advice, headline};
+pub use crate::core::verdict::{
     AssessParams, Assessment, Controller, EstimateDocument, Gate, Indicator, Oscillation, Process, Verdict, assess,
 };
 
 // The fit.
-pub use stiction_core::ident::class::Class;
-pub use stiction_core::ident::{DelayChoice, Estimate, ModelChoice, NoFit, Options, ValveChoice, quantify};
-pub use stiction_core::sim::slips::Law;
+pub use crate::core::ident::class::Class;
+pub use crate::core::ident::{DelayChoice, Estimate, ModelChoice, NoFit, Options, ValveChoice, quantify};
+pub use crate::core::sim::slips::Law;
 
 // One valve over time, one plant, one repair.
-pub use stiction_core::over_time::{
-    Change, ChangeKind, Contradicting, OverTime, Pooled, Trend, WindowResult, over_time,
-};
-pub use stiction_core::plantwide::{
+pub use crate::core::over_time::{Change, ChangeKind, Contradicting, OverTime, Pooled, Trend, WindowResult, over_time};
+pub use crate::core::plantwide::{
     Follower, GroupDocument, MemberJudgement, PlantLoop, Source, SourceKind, assess_plant, text as group_report,
 };
-pub use stiction_core::repair::{Case, Figure, NoRepair, Repair, RepairParams, repair};
+pub use crate::core::repair::{Case, Figure, NoRepair, Repair, RepairParams, repair};
 
 // The gap between model and plant.
-pub use stiction_core::gap::document::{CauseNote, EffectNote, GapDocument};
-pub use stiction_core::gap::model::Model as GapModel;
-pub use stiction_core::gap::text::report as gap_report;
-pub use stiction_core::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Neighbour, Serial, diagnose};
+pub use crate::core::gap::document::{CauseNote, EffectNote, GapDocument};
+pub use crate::core::gap::model::Model as GapModel;
+pub use crate::core::gap::text::report as gap_report;
+pub use crate::core::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Neighbour, Serial, diagnose};
 
 /// From raw samples to a [`Record`]: values with timestamps of their own, late, lost or of bad quality.
 ///
@@ -182,9 +186,9 @@ pub use stiction_core::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Ne
 /// assert_eq!(record.facts.filled, 1);
 /// ```
 pub mod record {
-    pub use stiction_core::record::{Mode, Sample, Signal, Value};
-    pub use stiction_core::signal::align::{AlignParams, Point, Quality, align_all};
-    pub use stiction_core::signal::history::record_of;
+    pub use crate::core::record::{Mode, Sample, Signal, Value};
+    pub use crate::core::signal::align::{AlignParams, Point, Quality, align_all};
+    pub use crate::core::signal::history::record_of;
 }
 
 /// The bands by a solver of your own on the error surface, next to the built-in ones.
@@ -230,8 +234,8 @@ pub mod record {
 /// # Ok::<(), stiction::NoFit>(())
 /// ```
 pub mod solver {
-    pub use stiction_core::ident::surface::{Solved, Surface, solve};
-    pub use stiction_core::optim::{
+    pub use crate::core::ident::surface::{Solved, Surface, solve};
+    pub use crate::core::optim::{
         ALL, AdaptiveRandom, BranchBound, Contour, Multistart, Objective, Outcome, Settings, Solver,
     };
 }
@@ -269,11 +273,11 @@ pub mod solver {
 /// assert!(late.iter().any(|pv| *pv > 61.5) && late.iter().any(|pv| *pv < 60.5));
 /// ```
 pub mod sim {
-    pub use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, Scan, ValveLaw, ValveModel};
-    pub use stiction_core::sim::controller::{Action, PidSettings};
-    pub use stiction_core::sim::disturbance::Disturbance;
-    pub use stiction_core::sim::process::ProcessModel;
-    pub use stiction_core::sim::valve::he_step;
+    pub use crate::core::sim::closed_loop::{ClosedLoop, LoopModel, Scan, ValveLaw, ValveModel};
+    pub use crate::core::sim::controller::{Action, PidSettings};
+    pub use crate::core::sim::disturbance::Disturbance;
+    pub use crate::core::sim::process::ProcessModel;
+    pub use crate::core::sim::valve::he_step;
 }
 
 #[cfg(doctest)]

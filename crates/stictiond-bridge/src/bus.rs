@@ -9,7 +9,7 @@ use anyhow::{Context, anyhow};
 use serde_json::json;
 use zenoh::qos::CongestionControl;
 
-use stiction_command::bus::{connect, prefix};
+use stictiond::cli::bus::{connect, prefix};
 
 /// How often to check for subscribers while there is none.
 const LISTENED_EVERY: Duration = Duration::from_millis(200);

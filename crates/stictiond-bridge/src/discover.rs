@@ -10,10 +10,10 @@ use anyhow::{Context, bail};
 use crate::opcua::browse::{BrowsedNodes, below};
 use crate::opcua::nodes::write;
 use crate::opcua::server::{Event, ServerArgs, open};
-use stiction_command::bus::prefix;
-use stiction_command::manual::refuse_existing;
-use stiction_command::{Format, Outcome, block_on, note, put};
 use stiction_files::pairing::{Listing, Seen};
+use stictiond::cli::bus::prefix;
+use stictiond::cli::manual::refuse_existing;
+use stictiond::cli::{Format, Outcome, block_on, note, put};
 
 /// Time limit for opening and closing the session.
 const SESSION_WITHIN: Duration = Duration::from_secs(20);

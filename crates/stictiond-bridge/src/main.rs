@@ -12,9 +12,9 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 #[cfg(not(feature = "opcua"))]
-use stiction_command::UsageError;
-use stiction_command::manual::{self, ManualArgs, Shell};
-use stiction_command::{Outcome, OutputArgs, exit_code, log, parse, print};
+use stictiond::cli::UsageError;
+use stictiond::cli::manual::{self, ManualArgs, Shell};
+use stictiond::cli::{Outcome, OutputArgs, exit_code, log, parse, print};
 
 /// Bring another system's data onto the bus. Bridges only read from the other system.
 ///

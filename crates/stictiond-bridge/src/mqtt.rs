@@ -16,11 +16,11 @@ use rumqttc::{
 use sd_notify::NotifyState;
 
 use crate::bus::{Bus, BusArgs, PAUSE, TOLD_EVERY, Teller, document, is_key};
-use stiction_command::{Format, Outcome, asked_to_stop, block_on, say};
-use stiction_monitor::codec::MAX_PAYLOAD;
-use stiction_monitor::config::Address;
-use stiction_monitor::short_hash;
-use stiction_runtime::secrets::{pem, secret};
+use stiction_engine::codec::MAX_PAYLOAD;
+use stiction_engine::config::Address;
+use stiction_engine::short_hash;
+use stictiond::cli::{Format, Outcome, asked_to_stop, block_on, say};
+use stictiond::runtime::secrets::{pem, secret};
 
 /// Most unacknowledged messages that the broker may send.
 const UNCONFIRMED: u16 = 1000;

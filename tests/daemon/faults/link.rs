@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stiction_core::record::Signal;
+use stiction::core::record::Signal;
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stiction_monitor::codec::topic::Kind;
+use stiction_engine::codec::topic::Kind;
 use zenoh::Wait;
 
 use crate::live::{

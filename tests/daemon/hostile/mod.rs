@@ -241,7 +241,7 @@ fn invented_loops_racing_clocks_and_floods_are_counted_named_and_take_nothing_fr
     });
     assert!(peak_mb(daemon.pid()) - before < 60, "{} MB more", peak_mb(daemon.pid()) - before);
     // Those that are named find their places all the same.
-    let now_ns = stiction_runtime::clock::now_ns();
+    let now_ns = stictiond::runtime::clock::now_ns();
     let sample = |t_ns: i64| format!("{{\"t\":{t_ns},\"v\":1}}");
     let samples = daemon.counter("samples");
     for name in ["FIC101", "FIC102"] {

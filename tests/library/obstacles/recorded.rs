@@ -4,8 +4,8 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
-use stiction_core::record::Record;
-use stiction_monitor::engine::{Misplaced, misplaced};
+use stiction::core::record::Record;
+use stiction_engine::engine::{Misplaced, misplaced};
 
 type Plant = Vec<(Arc<str>, Record)>;
 

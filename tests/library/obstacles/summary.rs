@@ -5,12 +5,12 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use serde_json::Value;
-use stiction_daemon::sim_daemon::SimDaemon;
-use stiction_daemon::sink::deliver::{Failure, Item, MakeTarget, Target};
+use stiction_engine::codec::topic::Kind;
+use stiction_engine::config::{Config, Deliver};
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_monitor::codec::topic::Kind;
-use stiction_monitor::config::{Config, Deliver};
-use stiction_runtime::clock::Clock;
+use stictiond::daemon::sim_daemon::SimDaemon;
+use stictiond::daemon::sink::deliver::{Failure, Item, MakeTarget, Target};
+use stictiond::runtime::clock::Clock;
 
 /// Half past five, UTC.
 const START_S: i64 = 20_000 * 86_400 + 5 * 3600 + 1800;

@@ -2,11 +2,11 @@
 
 use std::sync::{Arc, Mutex};
 
-use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
+use stiction_engine::alarm::Command;
+use stiction_engine::config::Config;
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_monitor::alarm::Command;
-use stiction_monitor::config::Config;
-use stiction_runtime::clock::Clock;
+use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
+use stictiond::runtime::clock::Clock;
 
 #[test]
 fn a_command_is_taken_and_answered_while_samples_fill_their_queue() {

@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use redb::{Builder, Database, StorageBackend};
 use stiction_files::disk::{Disk, DiskFile};
-use stiction_runtime::clock::Clock;
+use stictiond::runtime::clock::Clock;
 
 const BLOCK: u64 = 4096;
 

@@ -11,12 +11,12 @@ use std::time::Duration;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde_json::Value;
-use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
+use stiction_engine::alarm::{Command, State};
+use stiction_engine::codec::topic::Kind;
+use stiction_engine::config::{Config, ConfigChanges};
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_monitor::alarm::{Command, State};
-use stiction_monitor::codec::topic::Kind;
-use stiction_monitor::config::{Config, ConfigChanges};
-use stiction_runtime::clock::Clock;
+use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
+use stictiond::runtime::clock::Clock;
 
 use super::leavers::{CALM, STICKS, play, shown};
 use super::plant::{below, one_in};

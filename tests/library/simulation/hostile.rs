@@ -10,13 +10,13 @@ use std::time::Duration;
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use stiction_daemon::gaps::Outcome;
-use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
+use stiction_engine::alarm::Command;
+use stiction_engine::config::Config;
+use stiction_engine::engine::SkipReason;
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_monitor::alarm::Command;
-use stiction_monitor::config::Config;
-use stiction_monitor::engine::SkipReason;
-use stiction_runtime::clock::Clock;
+use stictiond::daemon::gaps::Outcome;
+use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
+use stictiond::runtime::clock::Clock;
 
 use super::plant::{below, one_in};
 use super::refill::{replays_to_the_byte, runs_replay_to_the_byte};

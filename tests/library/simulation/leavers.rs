@@ -4,16 +4,16 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use stiction_core::record::Sample;
-use stiction_core::sim::scenario::Scenario;
-use stiction_daemon::replay::chains_of;
-use stiction_daemon::rerun::Rerun;
-use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
+use stiction::core::record::Sample;
+use stiction::core::sim::scenario::Scenario;
+use stiction_engine::alarm::{Command, State};
+use stiction_engine::codec::encode_recorded;
+use stiction_engine::config::Config;
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_monitor::alarm::{Command, State};
-use stiction_monitor::codec::encode_recorded;
-use stiction_monitor::config::Config;
-use stiction_runtime::clock::Clock;
+use stictiond::daemon::replay::chains_of;
+use stictiond::daemon::rerun::Rerun;
+use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
+use stictiond::runtime::clock::Clock;
 
 const FOUR: &str = include_str!("../../../recordings/scenarios/four-loops.toml");
 pub const STICKS: &str = "FIC201";

@@ -3,15 +3,15 @@
 use std::sync::{Arc, Mutex};
 
 use serde_json::Value;
-use stiction_core::gap::Serial;
-use stiction_core::record::Record;
-use stiction_daemon::gaps::Outcome;
-use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
+use stiction::core::gap::Serial;
+use stiction::core::record::Record;
+use stiction_engine::config::Config;
+use stiction_engine::engine::GapRequest;
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_lab::plants::{Relation, disturbed, unrelated_loops};
-use stiction_monitor::config::Config;
-use stiction_monitor::engine::GapRequest;
-use stiction_runtime::clock::Clock;
+use stictiond::daemon::gaps::Outcome;
+use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
+use stictiond::runtime::clock::Clock;
 
 use super::refill::{chains_replay_to_the_byte, replays_to_the_byte};
 use super::repairs::{STICKS, Site, Work, wired};

@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
-use stiction_core::units::ms_from_ns;
-use stiction_daemon::sim_daemon::SimDaemon;
-use stiction_daemon::sink::zenoh::Publication;
-use stiction_monitor::alarm::Alarm;
-use stiction_monitor::codec::topic::Kind;
+use stiction::core::units::ms_from_ns;
+use stiction_engine::alarm::Alarm;
+use stiction_engine::codec::topic::Kind;
+use stictiond::daemon::sim_daemon::SimDaemon;
+use stictiond::daemon::sink::zenoh::Publication;
 
 use crate::isa::Model;
 

@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use stiction_daemon::sim_daemon::SimDaemon;
-use stiction_daemon::sink::deliver::{Failure, Item, MakeTarget, Target};
-use stiction_monitor::config::Deliver;
-use stiction_monitor::short_hash;
+use stiction_engine::config::Deliver;
+use stiction_engine::short_hash;
+use stictiond::daemon::sim_daemon::SimDaemon;
+use stictiond::daemon::sink::deliver::{Failure, Item, MakeTarget, Target};
 
 #[derive(Default)]
 struct State {

@@ -6,16 +6,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use stiction_daemon::replay::{chains_of, files_before};
-use stiction_daemon::rerun::Rerun;
-use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
-use stiction_daemon::sink::recorder::shard_of;
+use stiction_engine::codec::topic::{self, Kind};
+use stiction_engine::config::Config;
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_files::run::RunMetadata;
 use stiction_files::{RecordingFile, RecordingReader};
-use stiction_monitor::codec::topic::{self, Kind};
-use stiction_monitor::config::Config;
-use stiction_runtime::clock::Clock;
+use stictiond::daemon::replay::{chains_of, files_before};
+use stictiond::daemon::rerun::Rerun;
+use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
+use stictiond::daemon::sink::recorder::shard_of;
+use stictiond::runtime::clock::Clock;
 
 const NAMES: [&str; 2] = ["A", "B"];
 

@@ -5,13 +5,13 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use serde_json::Value;
-use stiction_daemon::replay::chains_of;
-use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
+use stiction_engine::alarm::{Command, State};
+use stiction_engine::codec::topic::Kind;
+use stiction_engine::config::Config;
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_monitor::alarm::{Command, State};
-use stiction_monitor::codec::topic::Kind;
-use stiction_monitor::config::Config;
-use stiction_runtime::clock::Clock;
+use stictiond::daemon::replay::chains_of;
+use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
+use stictiond::runtime::clock::Clock;
 
 use super::leavers::shown;
 use super::refill::replays_to_the_byte;
@@ -163,7 +163,7 @@ fn silence_and_the_last_answer_go_on_over_a_start() {
     stage.health();
     for old in before {
         let new = row(&stage, &old.name);
-        let of = |r: &stiction_runtime::overview::Row| (r.silent, r.verdict, r.p_stiction, r.window_end_ms);
+        let of = |r: &stictiond::runtime::overview::Row| (r.silent, r.verdict, r.p_stiction, r.window_end_ms);
         assert_eq!(of(&new), of(&old), "{}", old.name);
         assert!(new.data_age_s > old.data_age_s);
     }

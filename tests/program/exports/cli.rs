@@ -70,9 +70,6 @@ fn every_command_that_takes_a_file_takes_an_export_and_says_so_in_one_line() {
     let out = path("out.csv");
     one_line(&stderr(&expect(0, &[&["convert", &export, &out][..], &tz].concat())));
     assert!(fs::read_to_string(&out).unwrap().starts_with("t,op,pv\n1767600000,47,19\n"));
-    let index = path("INDEX.csv");
-    fs::write(&index, "file,label\njune.csv,stiction\n").unwrap();
-    one_line(&stderr(&expect(0, &[&["evaluate", &index][..], &tz].concat())));
     one_line(&stderr(&expect(0, &[&["gap", &export, "--budget", "0.2"][..], &tz].concat())));
     // Nobody answers there; the file has been read by then.
     one_line(&stderr(&expect(

@@ -8,8 +8,8 @@ mod shapes;
 
 use std::fs;
 
-use stiction_core::record::{Signal, Value};
-use stiction_core::units::NS_PER_S;
+use stiction::core::record::{Signal, Value};
+use stiction::core::units::NS_PER_S;
 use stiction_files::inputs::units;
 use stiction_files::{FileError, Loaded, ReadOptions};
 

@@ -29,7 +29,7 @@ impl Cell<'_> {
             Self::Text(text) => text.chars().take(40).collect(),
             Self::Number(v) => v.to_string(),
             Self::Integer(v) => v.to_string(),
-            Self::Local(ns) | Self::Instant(ns) => stiction_core::units::format_rfc3339(ns),
+            Self::Local(ns) | Self::Instant(ns) => stiction::core::units::format_rfc3339(ns),
         }
     }
 }

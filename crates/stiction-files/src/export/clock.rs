@@ -6,7 +6,7 @@ use jiff::tz::Offset;
 use super::ExportError;
 use super::stamp::{Civil, HOUR_NS, Number, Order, Stamp};
 use super::zone::{Reading, Zone, letters};
-use stiction_core::units::{NS_PER_S, format_rfc3339, ns_from_s, s_from_ns};
+use stiction::core::units::{NS_PER_S, format_rfc3339, ns_from_s, s_from_ns};
 
 /// Earliest year accepted without an option.
 const FIRST_YEAR: i64 = 1990;

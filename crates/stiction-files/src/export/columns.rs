@@ -6,7 +6,7 @@ use super::clock::TimeFormat;
 use super::map::{Map, Part, same};
 use super::names::{is_date, is_quality, is_tag, is_time, is_value, plain, unit};
 use super::stamp::Stamp;
-use stiction_core::units::NS_PER_S;
+use stiction::core::units::NS_PER_S;
 
 /// Rows examined to recognise columns.
 const LOOKED_AT: usize = 60;

@@ -12,7 +12,7 @@ use super::stamp::{Number, Stamp};
 use super::zone::Zone;
 use super::{Contents, ExportError, ReadOptions};
 use crate::number::{Decimal, Hint, hint, is_missing_word, number};
-use stiction_core::record::{Mode, Signal, Value};
+use stiction::core::record::{Mode, Signal, Value};
 
 /// Rows after which the search for the decimal separator stops, whether found or not.
 const ENOUGH_ROWS: u64 = 20_000;

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::names::bare;
-use stiction_core::record::Signal;
+use stiction::core::record::Signal;
 
 /// Role of a column that is not a signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -45,7 +45,7 @@ use thiserror::Error;
 use super::{InputKind, LoadedLoop, csv};
 use cell::Table;
 use gather::Series;
-use stiction_core::units::parse_time;
+use stiction::core::units::parse_time;
 
 /// What cannot be read, where, and what settles it.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -179,7 +179,7 @@ pub(super) fn read(
 ) -> Result<Export, super::FileFault> {
     let stem = stem_of(path);
     if kind == InputKind::Csv && !options.overrules() && is_own(bytes) {
-        return read_own(bytes, &stiction_core::units::loop_name_from(&stem));
+        return read_own(bytes, &stiction::core::units::loop_name_from(&stem));
     }
     let contents = contents(kind, path, bytes, options)?;
     Ok(pair::loops(vec![(stem, contents)], options)?)

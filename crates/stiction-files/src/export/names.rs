@@ -1,7 +1,7 @@
 //! Tag names: the loop and signal of a column or tag.
 
-use stiction_core::record::Signal;
-use stiction_core::units::loop_name_from;
+use stiction::core::record::Signal;
+use stiction::core::units::loop_name_from;
 
 /// Endings of tags, the strongest of each signal first.
 const ENDS: [(&str, Signal); 48] = [

@@ -7,8 +7,8 @@ use super::gather::Series;
 use super::map::{Map, Part};
 use super::{Contents, Export, ExportError, ReadOptions, Recognised};
 use crate::LoadedLoop;
-use stiction_core::record::{Sample, Signal, Value};
-use stiction_core::units::loop_name_from;
+use stiction::core::record::{Sample, Signal, Value};
+use stiction::core::units::loop_name_from;
 
 /// Most tags named in a warning.
 const SHOWN: usize = 8;

@@ -4,7 +4,7 @@
 use jiff::civil::Date;
 use jiff::tz::Offset;
 
-use stiction_core::units::NS_PER_S;
+use stiction::core::units::NS_PER_S;
 
 /// Nanoseconds in an hour.
 pub(super) const HOUR_NS: i64 = 3600 * NS_PER_S;
@@ -398,7 +398,7 @@ fn short(word: &str) -> Option<i16> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use stiction_core::units::format_rfc3339;
+    use stiction::core::units::format_rfc3339;
 
     fn orders(text: &str) -> Vec<(&'static str, String)> {
         let Some(Stamp::Civil(civil)) = Stamp::read(text) else { panic!("{text}: {:?}", Stamp::read(text)) };

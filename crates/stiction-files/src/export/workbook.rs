@@ -116,7 +116,7 @@ impl Contents {
     /// Adds another sheet; its unnamed loop gets the sheet's name.
     fn add(&mut self, mut other: Self, sheet: &str) {
         for series in other.series.iter_mut().filter(|s| s.role.loop_name.is_empty()) {
-            series.role.loop_name = stiction_core::units::loop_name_from(sheet);
+            series.role.loop_name = stiction::core::units::loop_name_from(sheet);
         }
         if self.words.is_empty() {
             self.words = other.words;

@@ -5,7 +5,7 @@ use jiff::tz::{AmbiguousOffset, Offset, TimeZone};
 
 use super::ExportError;
 use super::stamp::HOUR_NS;
-use stiction_core::units::format_rfc3339;
+use stiction::core::units::format_rfc3339;
 
 /// Half an hour: rows closer than this belong together; steps at a clock change are longer.
 const NEAR_NS: i64 = HOUR_NS / 2;
@@ -196,7 +196,7 @@ pub(super) fn letters(letters: [u8; 5]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_core::units::{NS_PER_S, parse_time};
+    use stiction::core::units::{NS_PER_S, parse_time};
 
     fn readings(texts: &[&str]) -> Vec<Reading> {
         let reading = |text: &str| {

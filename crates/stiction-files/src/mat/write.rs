@@ -13,7 +13,7 @@ const NAME_LENGTH: usize = 64;
 /// # Errors
 /// Error of the system; [`io::ErrorKind::InvalidInput`] if a name or value cannot be represented.
 pub fn write(out: &mut impl Write, variables: &[(&str, &Mat)], deflated: bool) -> io::Result<()> {
-    let mut text = format!("MATLAB 5.0 MAT-file, written by stictiond {}", stiction_core::VERSION).into_bytes();
+    let mut text = format!("MATLAB 5.0 MAT-file, written by stictiond {}", stiction::core::VERSION).into_bytes();
     text.resize(116, b' ');
     text.extend([0; 8]);
     text.extend([0, 1, b'I', b'M']);

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use super::super::columns::{self, Row};
 use super::{Channel, Message, ReadError, RecordingReader};
-use stiction_core::record::{Sample, Signal};
-use stiction_monitor::codec::{encode_recorded, topic};
+use stiction::core::record::{Sample, Signal};
+use stiction_engine::codec::{encode_recorded, topic};
 
 /// One sample from a message of columns.
 #[derive(Debug, Clone, Copy)]

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use super::super::columns::{self, Columns, METADATA_COLUMNS, METADATA_RAW, Row};
 use super::{RecordingFile, WriteError};
-use stiction_core::record::Sample;
-use stiction_monitor::codec::encode_recorded;
-use stiction_monitor::codec::topic::Kind;
+use stiction::core::record::Sample;
+use stiction_engine::codec::encode_recorded;
+use stiction_engine::codec::topic::Kind;
 
 /// A buffer for columns if the file's metadata says so.
 pub(super) fn wanted(metadata: &BTreeMap<String, String>) -> Option<Columns> {

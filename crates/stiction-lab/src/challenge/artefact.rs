@@ -1,8 +1,8 @@
 //! Artefacts of sensor and historian on an existing PV: exact, so they can also be applied to real recordings.
 
-use stiction_core::sim::noise::quantise;
-use stiction_truth::draw::Draw;
-use stiction_truth::storage;
+use crate::truth::draw::Draw;
+use crate::truth::storage;
+use stiction::core::sim::noise::quantise;
 
 /// An artefact on PV (and, for a skew, on PV relative to OP).
 #[derive(Debug, Clone, PartialEq)]

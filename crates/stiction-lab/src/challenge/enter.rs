@@ -3,8 +3,8 @@
 use super::artefact::{Artefact, spikes};
 use super::kinds::Kind;
 use super::plant::{Drive, Neighbour, Plant, ProcessSpec};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_truth::draw::{Draw, scaled};
+use crate::truth::draw::{Draw, scaled};
+use stiction::core::sim::disturbance::Disturbance;
 
 /// The loop's signals without the effect and the length of the run, which define the sizes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -282,7 +282,7 @@ impl Made {
             shape.iter_mut().enumerate().filter(|(k, _)| is_on(*k)).for_each(|(_, x)| *x += size);
         }
         self.note("events", f64::from(count), "");
-        let half = 0.5 * stiction_core::signal::stats::span(&shape);
+        let half = 0.5 * stiction::core::signal::stats::span(&shape);
         (shape, half)
     }
 

@@ -9,13 +9,13 @@ use super::enter::{Made, Scale};
 use super::kinds::Kind;
 use super::plant::{Drive, Plant, ProcessSpec, Run};
 use super::valve::{Law, Packing, ValveSpec};
-use stiction_core::signal::stats::{mean, quantile, std_dev};
-use stiction_core::sim::controller::{Action, PidSettings};
-use stiction_core::sim::friction::SUB_STEPS;
-use stiction_core::sim::noise::Noise;
-use stiction_core::sim::process::{Pole, ProcessModel};
-use stiction_truth::draw::Draw;
-use stiction_truth::rig::{motions, tune, turns};
+use crate::truth::draw::Draw;
+use crate::truth::rig::{motions, tune, turns};
+use stiction::core::signal::stats::{mean, quantile, std_dev};
+use stiction::core::sim::controller::{Action, PidSettings};
+use stiction::core::sim::friction::SUB_STEPS;
+use stiction::core::sim::noise::Noise;
+use stiction::core::sim::process::{Pole, ProcessModel};
 
 /// Draws of a case before an effect that hardly shows is kept.
 const TRIES: u32 = 8;

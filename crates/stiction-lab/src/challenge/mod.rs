@@ -34,9 +34,9 @@ pub mod windows;
 pub use kinds::{Kind, Stage};
 pub use truth::{Answer, Tampered, Truth, TruthCase, seal};
 
+use crate::truth::draw::Draw;
 use generator::Order;
-use stiction_core::record::Record;
-use stiction_truth::draw::Draw;
+use stiction::core::record::Record;
 
 /// Development or test set: nothing chosen on one is reported on the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -2,12 +2,12 @@
 //!
 //! None of it has the form that a diagnosis fits: dead time is a pipe, lags are advanced by their own exponentials (or by
 //! Euler's rule if nonlinear), an inverse response is two opposing processes. `PV[k]` is measured before `OP[k]` is computed,
-//! as in [`stiction_core::sim::closed_loop`].
+//! as in [`stiction::core::sim::closed_loop`].
 
 use super::valve::{DT, Valve, ValveSpec};
-use stiction_core::sim::controller::{Pid, PidSettings};
-use stiction_core::sim::friction::SUB_STEPS;
-use stiction_core::sim::noise::Noise;
+use stiction::core::sim::controller::{Pid, PidSettings};
+use stiction::core::sim::friction::SUB_STEPS;
+use stiction::core::sim::noise::Noise;
 
 /// From flow to PV, without state; times in scans. Deviations from the operating point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -283,7 +283,7 @@ impl Plant {
 mod tests {
     use super::*;
     use crate::challenge::valve::Packing;
-    use stiction_core::sim::controller::Action;
+    use stiction::core::sim::controller::Action;
 
     pub(crate) fn plain() -> Plant {
         let packing = Packing { fs: 1e-4, fc: 1e-5, vs: 1.0, fv: 1e-3 };
@@ -361,7 +361,7 @@ mod tests {
         let free = plant.free_run(&drive, &closed.op);
         assert_eq!(closed.pv, free.pv);
         let late: Vec<f64> = closed.pv[500..].to_vec();
-        let swing = stiction_core::signal::stats::span(&late);
+        let swing = stiction::core::signal::stats::span(&late);
         assert!(swing > 0.2, "it cycles: {swing}");
     }
 

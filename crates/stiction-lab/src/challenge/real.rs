@@ -1,10 +1,10 @@
 //! Known truth in real recordings: exact artefacts, and effects added to an existing PV.
 
 use super::artefact::{Artefact, spikes};
-use stiction_core::record::Record;
-use stiction_core::signal::stats::{noise_sd, quantile, std_dev};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_truth::draw::Draw;
+use crate::truth::draw::Draw;
+use stiction::core::record::Record;
+use stiction::core::signal::stats::{noise_sd, quantile, std_dev};
+use stiction::core::sim::disturbance::Disturbance;
 
 /// A recording with an effect added to its PV.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,8 +5,8 @@ use super::generator::{self, Order};
 use super::plant::{Drive, Plant, ProcessSpec};
 use super::valve::{Packing, ValveSpec};
 use super::*;
-use stiction_core::signal::stats::{median, noise_sd, std_dev};
-use stiction_core::sim::controller::{Action, PidSettings};
+use stiction::core::signal::stats::{median, noise_sd, std_dev};
+use stiction::core::sim::controller::{Action, PidSettings};
 
 fn order(kinds: Vec<Kind>, seed: u64) -> Order {
     let setpoint_moves = seed.is_multiple_of(2);

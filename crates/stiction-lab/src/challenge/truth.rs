@@ -181,7 +181,7 @@ pub fn seal(bytes: &[u8]) -> String {
 
 impl Truth {
     pub(super) fn new(seed: u64, split: Split, cases_per_effect: usize, cases: Vec<TruthCase>) -> Self {
-        let (schema, version) = (SCHEMA.to_owned(), stiction_core::VERSION.to_owned());
+        let (schema, version) = (SCHEMA.to_owned(), stiction::core::VERSION.to_owned());
         Self { schema, version, seed, split: split.name().to_owned(), cases_per_effect, cases }
     }
 

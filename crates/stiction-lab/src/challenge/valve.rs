@@ -1,8 +1,8 @@
 //! The valve of the challenge: a force balance at sub-sample steps, with the parts before and behind the stem.
 
-use stiction_core::sim::friction::{Friction, FrictionState, SUB_STEPS};
-use stiction_core::sim::noise::Noise;
-use stiction_core::sim::valve::{Tracking, he_step, tracking_step};
+use stiction::core::sim::friction::{Friction, FrictionState, SUB_STEPS};
+use stiction::core::sim::noise::Noise;
+use stiction::core::sim::valve::{Tracking, he_step, tracking_step};
 
 /// Length of a sub-step, scans.
 pub(crate) const DT: f64 = 1.0 / SUB_STEPS as f64;

@@ -2,8 +2,8 @@
 
 use super::generator::{Case, Order, case};
 use super::kinds::Kind;
-use stiction_core::record::Record;
-use stiction_truth::draw::Draw;
+use crate::truth::draw::Draw;
+use stiction::core::record::Record;
 
 /// Windows, and periods in each.
 pub const WINDOWS: usize = 5;

@@ -3,9 +3,9 @@
 use super::generator::{healthy, sticking};
 use super::network::{Edge, Entry, Origin, Own, run};
 use crate::challenge::plant::Plant;
-use stiction_core::record::Record;
-use stiction_core::units::ns_from_s;
-use stiction_truth::draw::{Draw, std_dev};
+use crate::truth::draw::{Draw, std_dev};
+use stiction::core::record::Record;
+use stiction::core::units::ns_from_s;
 
 /// Scans before the records begin.
 const BEFORE: usize = 800;
@@ -192,7 +192,7 @@ pub fn unrelated_loops(seed: u64, number: u64, count: usize, like: &Record, peri
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_core::gap::Neighbour;
+    use stiction::core::gap::Neighbour;
 
     #[test]
     fn a_case_is_repeated_by_its_seed_and_its_others_share_its_time() {

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use super::{Difficulty, plant, stretched};
-use stiction_core::plantwide::{PlantLoop, frequency_hz};
-use stiction_core::record::Record;
-use stiction_core::signal::stats::span;
-use stiction_core::verdict::{Assessment, Oscillation, Window};
-use stiction_truth::draw::Draw;
+use crate::truth::draw::Draw;
+use stiction::core::plantwide::{PlantLoop, frequency_hz};
+use stiction::core::record::Record;
+use stiction::core::signal::stats::span;
+use stiction::core::verdict::{Assessment, Oscillation, Window};
 
 /// Plants that are drawn of either kind.
 const PLANTS: u64 = 12;

@@ -5,12 +5,12 @@ use super::{CaseLoop, Difficulty, Role};
 use crate::challenge::generator as one;
 use crate::challenge::plant::{Drive, Plant};
 use crate::challenge::valve::{Law, Packing, ValveSpec};
-use stiction_core::record::Record;
-use stiction_core::sim::process::ProcessModel;
-use stiction_core::units::ns_from_s;
-use stiction_truth::draw::{Draw, std_dev};
-use stiction_truth::rig::{tune, turns, ultimate};
-use stiction_truth::storage;
+use crate::truth::draw::{Draw, std_dev};
+use crate::truth::rig::{tune, turns, ultimate};
+use crate::truth::storage;
+use stiction::core::record::Record;
+use stiction::core::sim::process::ProcessModel;
+use stiction::core::units::ns_from_s;
 
 /// Sampling times that archives have, scans.
 const SAMPLING: [usize; 7] = [1, 2, 5, 10, 15, 30, 60];
@@ -87,7 +87,11 @@ pub(super) fn sticking(draw: &mut Draw, wanted: f64, within: f64) -> Option<(Pla
             kick.sp.fill(1.5 * fs * plant.process.gain);
             let run = plant.run(&kick);
             let late = scans / 3;
-            (turns(&run.mv, 2e-3 * fs).1, std_dev(&run.pv[late..]), stiction_core::signal::stats::span(&run.mv[late..]))
+            (
+                turns(&run.mv, 2e-3 * fs).1,
+                std_dev(&run.pv[late..]),
+                stiction::core::signal::stats::span(&run.mv[late..]),
+            )
         };
         let (Some(period), ..) = cycle(&plant, 1_500) else { continue };
         let aimed = wanted * draw.between(1.0 - within, 1.0 + within);

@@ -13,8 +13,8 @@ mod network;
 pub use disturbed::{Disturbed, Relation, disturbed, unrelated_loops};
 pub use fleet::{FleetLoop, fleet};
 
-use stiction_core::record::Record;
-use stiction_core::units::ns_from_s;
+use stiction::core::record::Record;
+use stiction::core::units::ns_from_s;
 
 /// How hard a plant is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -5,16 +5,16 @@
 use std::fs;
 use std::path::Path;
 
-use stiction_core::detect::oscillation;
-use stiction_core::gap::document::GapDocument;
-use stiction_core::gap::{GapOptions, Serial, diagnose};
-use stiction_core::record::Record;
-use stiction_core::sim::actuator::Actuator;
-use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction_core::sim::controller::{Action, PidSettings};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_core::sim::process::ProcessModel;
-use stiction_truth::fixture::Draw;
+use stiction::core::detect::oscillation;
+use stiction::core::gap::document::GapDocument;
+use stiction::core::gap::{GapOptions, Serial, diagnose};
+use stiction::core::record::Record;
+use stiction::core::sim::actuator::Actuator;
+use stiction::core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction::core::sim::controller::{Action, PidSettings};
+use stiction::core::sim::disturbance::Disturbance;
+use stiction::core::sim::process::ProcessModel;
+use stiction_lab::truth::fixture::Draw;
 
 /// A sticking valve before a first-order process.
 fn plain() -> LoopModel {
@@ -64,7 +64,7 @@ fn held(name: &str, model: LoopModel) {
     let diagnosis = diagnose(&record, &options, &Serial).unwrap();
     let document = GapDocument::new(name, &record, &options, &diagnosis);
     let text = serde_json::to_string_pretty(&document).unwrap() + "\n";
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../stiction-core/tests/golden/gap-{name}.json"));
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../stiction/tests/golden/gap-{name}.json"));
     if std::env::var_os("REMAKE").is_some() {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, &text).unwrap();

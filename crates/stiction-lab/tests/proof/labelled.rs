@@ -3,10 +3,10 @@
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use stiction_core::record::Record;
-use stiction_core::units::LoopKind;
-use stiction_core::verdict::{AssessParams, Assessment, assess};
-use stiction_truth::fixture::boxed;
+use stiction::core::record::Record;
+use stiction::core::units::LoopKind;
+use stiction::core::verdict::{AssessParams, Assessment, assess};
+use stiction_lab::truth::fixture::boxed;
 
 /// One labelled recording.
 pub struct Labelled {
@@ -127,6 +127,6 @@ fn read(path: &std::path::Path, _ts: Option<f64>) -> Option<Record> {
         record.sp = Some(column(3).chunks_exact(k).map(|c| c.iter().sum::<f64>() / k as f64).collect());
     }
     let steps: Vec<f64> = rows.windows(2).map(|w| w[1][0] - w[0][0]).collect();
-    record.irregularity = 1.4826 * stiction_core::signal::stats::mad(&steps) / ts;
+    record.irregularity = 1.4826 * stiction::core::signal::stats::mad(&steps) / ts;
     Some(record)
 }

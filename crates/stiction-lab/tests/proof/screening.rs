@@ -2,15 +2,15 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::labelled;
-use stiction_core::record::Record;
-use stiction_core::signal::stats;
-use stiction_core::sim::closed_loop::{ValveLaw, ValveModel};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_core::sim::noise::quantise;
-use stiction_core::verdict::{AssessParams, Assessment, P_CALM, SCREENED, Verdict, assess, is_screened_out};
-use stiction_truth::fixture::Draw;
-use stiction_truth::fixture::healthy::{drawn, healthy, settled};
-use stiction_truth::{Half, Regime, accuracy, verdict_case};
+use stiction::core::record::Record;
+use stiction::core::signal::stats;
+use stiction::core::sim::closed_loop::{ValveLaw, ValveModel};
+use stiction::core::sim::disturbance::Disturbance;
+use stiction::core::sim::noise::quantise;
+use stiction::core::verdict::{AssessParams, Assessment, P_CALM, SCREENED, Verdict, assess, is_screened_out};
+use stiction_lab::truth::fixture::Draw;
+use stiction_lab::truth::fixture::healthy::{drawn, healthy, settled};
+use stiction_lab::truth::{Half, Regime, accuracy, verdict_case};
 
 fn params(screening: bool) -> AssessParams {
     AssessParams { screening, ..AssessParams::default() }

@@ -2,12 +2,12 @@
 //! where the answer is certain it is asserted whole. Six seeds each.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction_core::record::Record;
-use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_core::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
-use stiction_truth::fixture::Draw;
-use stiction_truth::fixture::healthy::{drawn, healthy, settled};
+use stiction::core::record::Record;
+use stiction::core::sim::closed_loop::{ClosedLoop, LoopModel};
+use stiction::core::sim::disturbance::Disturbance;
+use stiction::core::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
+use stiction_lab::truth::fixture::Draw;
+use stiction_lab::truth::fixture::healthy::{drawn, healthy, settled};
 
 /// Shares of the ultimate gain at which a loop is sane.
 const SANE: [f64; 2] = [0.2, 0.5];

@@ -3,13 +3,13 @@
 
 use std::collections::BTreeMap;
 
-use stiction_core::record::Record;
-use stiction_core::sim::closed_loop::{LoopModel, ValveLaw, ValveModel};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_core::sim::process::ProcessModel;
-use stiction_core::sim::scenario::Scenario;
-use stiction_core::verdict::{AssessParams, Verdict, assess};
-use stiction_truth::fixture::healthy::{healthy, plain, settled, shaken, ultimate};
+use stiction::core::record::Record;
+use stiction::core::sim::closed_loop::{LoopModel, ValveLaw, ValveModel};
+use stiction::core::sim::disturbance::Disturbance;
+use stiction::core::sim::process::ProcessModel;
+use stiction::core::sim::scenario::Scenario;
+use stiction::core::verdict::{AssessParams, Verdict, assess};
+use stiction_lab::truth::fixture::healthy::{healthy, plain, settled, shaken, ultimate};
 
 /// Verdicts over seeds for one loop of a plant.
 fn verdicts(text: &str, seeds: u64) -> BTreeMap<&'static str, usize> {

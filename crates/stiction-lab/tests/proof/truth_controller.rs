@@ -1,14 +1,14 @@
 //! The controller read from records of loops whose controller is known.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction_core::ident::controller::{Reading, read};
-use stiction_core::record::Record;
-use stiction_core::signal::stats;
-use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction_core::sim::controller::{Action, PidSettings};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_core::sim::process::ProcessModel;
-use stiction_truth::fixture::{Draw, boxed};
+use stiction::core::ident::controller::{Reading, read};
+use stiction::core::record::Record;
+use stiction::core::signal::stats;
+use stiction::core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction::core::sim::controller::{Action, PidSettings};
+use stiction::core::sim::disturbance::Disturbance;
+use stiction::core::sim::process::ProcessModel;
+use stiction_lab::truth::fixture::{Draw, boxed};
 
 /// A sane loop drawn at random: every other one with derivative, sticking valve and coarse output by turns.
 fn drawn(seed: u64) -> LoopModel {

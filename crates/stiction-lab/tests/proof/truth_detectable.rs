@@ -1,13 +1,13 @@
 //! The smallest band that a window would have shown, against valves that stick more and less than that.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction_core::record::Record;
-use stiction_core::signal::stats::span;
-use stiction_core::sim::closed_loop::{ClosedLoop, ValveLaw, ValveModel};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_core::verdict::{AssessParams, Assessment, assess};
-use stiction_truth::fixture::Draw;
-use stiction_truth::fixture::healthy::drawn;
+use stiction::core::record::Record;
+use stiction::core::signal::stats::span;
+use stiction::core::sim::closed_loop::{ClosedLoop, ValveLaw, ValveModel};
+use stiction::core::sim::disturbance::Disturbance;
+use stiction::core::verdict::{AssessParams, Assessment, assess};
+use stiction_lab::truth::fixture::Draw;
+use stiction_lab::truth::fixture::healthy::drawn;
 
 /// A loop that something moves: by seed a load that swings, a random load, or a set point in steps.
 fn moving(seed: u64, noise: f64, valve: ValveModel) -> Record {

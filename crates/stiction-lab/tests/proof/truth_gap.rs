@@ -4,17 +4,17 @@
 use crate::cases;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use stiction_core::detect::oscillation;
-use stiction_core::gap::model::{Added, Model, Process, SCHEMA, Valve};
-use stiction_core::gap::{Base, Diagnosis, Executor, FromSp, GapError, GapOptions, Serial, diagnose};
-use stiction_core::record::Record;
-use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction_core::sim::controller::{Action, PidSettings};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_core::sim::process::ProcessModel;
-use stiction_core::sim::slips::Stroke;
+use stiction::core::detect::oscillation;
+use stiction::core::gap::model::{Added, Model, Process, SCHEMA, Valve};
+use stiction::core::gap::{Base, Diagnosis, Executor, FromSp, GapError, GapOptions, Serial, diagnose};
+use stiction::core::record::Record;
+use stiction::core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction::core::sim::controller::{Action, PidSettings};
+use stiction::core::sim::disturbance::Disturbance;
+use stiction::core::sim::process::ProcessModel;
+use stiction::core::sim::slips::Stroke;
 use stiction_lab::challenge::{Deck, Split};
-use stiction_truth::fixture::Draw;
+use stiction_lab::truth::fixture::Draw;
 
 /// A sticking valve before a first-order process, its set point moved now and then.
 fn plain(seed: u64) -> LoopModel {

@@ -2,12 +2,12 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction_core::ident::width::{Settings, Trust};
-use stiction_core::ident::{Options, quantify};
-use stiction_core::verdict::{AssessParams, Assessment, ValveChoice, assess};
+use stiction::core::ident::width::{Settings, Trust};
+use stiction::core::ident::{Options, quantify};
+use stiction::core::verdict::{AssessParams, Assessment, ValveChoice, assess};
 use stiction_lab::calibrate_intervals::{look, table};
-use stiction_truth::fixture::{Draw, Loop};
-use stiction_truth::{self as truth, Half, Regime};
+use stiction_lab::truth::fixture::{Draw, Loop};
+use stiction_lab::truth::{self as truth, Half, Regime};
 
 const MATCHED: [Regime; 6] = [
     Regime::HeStart,

@@ -2,14 +2,14 @@
 //! of docs/over-time.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction_core::over_time::{ChangeKind, OverTime, WindowResult, over_time};
-use stiction_core::record::Record;
-use stiction_core::sim::closed_loop::{Stem, ValveLaw, ValveModel};
-use stiction_core::sim::controller::{Action, Pid, PidSettings};
-use stiction_core::sim::noise::{Ar1, Noise, stream_of};
-use stiction_core::sim::process::{ProcessModel, ProcessState};
-use stiction_core::units::NS_PER_S;
-use stiction_core::verdict::{AssessParams, assess};
+use stiction::core::over_time::{ChangeKind, OverTime, WindowResult, over_time};
+use stiction::core::record::Record;
+use stiction::core::sim::closed_loop::{Stem, ValveLaw, ValveModel};
+use stiction::core::sim::controller::{Action, Pid, PidSettings};
+use stiction::core::sim::noise::{Ar1, Noise, stream_of};
+use stiction::core::sim::process::{ProcessModel, ProcessState};
+use stiction::core::units::NS_PER_S;
+use stiction::core::verdict::{AssessParams, assess};
 
 const HOUR_NS: i64 = 3_600_000_000_000;
 const START_NS: i64 = 1_767_225_600_000_000_000;

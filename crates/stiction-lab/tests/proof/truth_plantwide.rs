@@ -1,8 +1,8 @@
 //! Plants of known truth: who shares an oscillation, who makes it, and that independent loops keep their own answer.
 
 use crate::cases;
-use stiction_core::plantwide::{Calibration, GroupDocument, PlantLoop, SourceKind, assess_plant, pair_figures};
-use stiction_core::verdict::{AssessParams, assess};
+use stiction::core::plantwide::{Calibration, GroupDocument, PlantLoop, SourceKind, assess_plant, pair_figures};
+use stiction::core::verdict::{AssessParams, assess};
 use stiction_lab::plants::{Difficulty, Role, plant};
 
 /// Seeds that no rule was fitted to and no table reports.

@@ -3,15 +3,15 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::cases;
-use stiction_core::record::Record;
-use stiction_core::repair::{Figure, NoRepair, Repair, RepairParams, repair};
-use stiction_core::signal::stats;
-use stiction_core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stiction_core::sim::controller::{Action, PidSettings};
-use stiction_core::sim::disturbance::Disturbance;
-use stiction_core::sim::process::ProcessModel;
-use stiction_core::verdict::{AssessParams, assess};
-use stiction_truth::fixture::Draw;
+use stiction::core::record::Record;
+use stiction::core::repair::{Figure, NoRepair, Repair, RepairParams, repair};
+use stiction::core::signal::stats;
+use stiction::core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction::core::sim::controller::{Action, PidSettings};
+use stiction::core::sim::disturbance::Disturbance;
+use stiction::core::sim::process::ProcessModel;
+use stiction::core::verdict::{AssessParams, assess};
+use stiction_lab::truth::fixture::Draw;
 
 const SAMPLES: usize = 1_200;
 const SETTLES: usize = 1_200;
@@ -171,7 +171,7 @@ fn what_cannot_be_told_is_refused_in_words() {
     let record = recorded(&model, 0);
     let params = AssessParams { always_fit: true, ..AssessParams::default() };
     let found = assess(&record, &params);
-    let answer = |change: &dyn Fn(&mut stiction_core::verdict::Assessment)| {
+    let answer = |change: &dyn Fn(&mut stiction::core::verdict::Assessment)| {
         let mut assessment = found.clone();
         change(&mut assessment);
         repair(&record, &assessment, &RepairParams::default()).unwrap_err()
@@ -182,9 +182,9 @@ fn what_cannot_be_told_is_refused_in_words() {
     );
     assert_eq!(answer(&|a| a.process = None), NoRepair::NoModel);
     assert!(matches!(answer(&|a| a.stiction = None), NoRepair::Inconclusive(_)));
-    let signs = |a: &mut stiction_core::verdict::Assessment| a.controller.as_mut().unwrap().kc *= -1.0;
+    let signs = |a: &mut stiction::core::verdict::Assessment| a.controller.as_mut().unwrap().kc *= -1.0;
     assert_eq!(answer(&signs), NoRepair::Signs);
-    let weak = |a: &mut stiction_core::verdict::Assessment| a.controller.as_mut().unwrap().kc *= 0.1;
+    let weak = |a: &mut stiction::core::verdict::Assessment| a.controller.as_mut().unwrap().kc *= 0.1;
     assert!(matches!(answer(&weak), NoRepair::OtherSpread(_) | NoRepair::OtherPace(_)));
     // Equal arguments, equal answers.
     assert_eq!(told(&record), told(&record));

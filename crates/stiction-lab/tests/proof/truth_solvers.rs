@@ -2,12 +2,12 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction_core::ident::class::Class;
-use stiction_core::ident::surface::{Surface, solve};
-use stiction_core::ident::{ModelChoice, Options, ValveChoice};
-use stiction_core::optim::{self, Settings};
-use stiction_core::sim::slips::Law;
-use stiction_truth::fixture::Loop;
+use stiction::core::ident::class::Class;
+use stiction::core::ident::surface::{Surface, solve};
+use stiction::core::ident::{ModelChoice, Options, ValveChoice};
+use stiction::core::optim::{self, Settings};
+use stiction::core::sim::slips::Law;
+use stiction_lab::truth::fixture::Loop;
 
 /// Enough for this record; the command line allows more.
 const BUDGET: u64 = 4000;

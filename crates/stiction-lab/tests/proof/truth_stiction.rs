@@ -4,12 +4,12 @@
 
 use crate::cases;
 use proptest::prelude::*;
-use stiction_core::record::Record;
-use stiction_core::signal::stats;
-use stiction_core::sim::slips::Law;
-use stiction_core::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
-use stiction_truth::fixture::{Draw, Loop, boxed};
-use stiction_truth::{Half, Regime, accuracy};
+use stiction::core::record::Record;
+use stiction::core::signal::stats;
+use stiction::core::sim::slips::Law;
+use stiction::core::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
+use stiction_lab::truth::fixture::{Draw, Loop, boxed};
+use stiction_lab::truth::{Half, Regime, accuracy};
 
 fn params() -> AssessParams {
     AssessParams { always_fit: true, ..AssessParams::default() }

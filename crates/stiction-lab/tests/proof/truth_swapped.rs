@@ -2,8 +2,8 @@
 
 use crate::labelled;
 
-use stiction_core::record::Record;
-use stiction_core::verdict::swapped::by_controller;
+use stiction::core::record::Record;
+use stiction::core::verdict::swapped::by_controller;
 
 #[test]
 fn swapped_signals_of_real_loops_are_found_and_no_others() {

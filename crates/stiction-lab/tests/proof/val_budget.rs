@@ -11,15 +11,15 @@ use std::collections::BTreeSet;
 use crate::labelled::{self, RECORDINGS, cells};
 use crate::val_effects::budget;
 
-use stiction_core::detect::oscillation;
-use stiction_core::gap::budget::document::{
+use stiction::core::detect::oscillation;
+use stiction::core::gap::budget::document::{
     CANNOT_BE_TOLD, DISTURBANCE, NOISE, NOT_SPLIT, UNEXPLAINED, VALVE_AND_PROCESS,
 };
-use stiction_core::gap::budget::{Budget, Known};
-use stiction_core::gap::document::GapDocument;
-use stiction_core::gap::{Diagnosis, GapOptions, Serial, UNKNOWN, diagnose};
-use stiction_core::ident::controller;
-use stiction_core::record::Record;
+use stiction::core::gap::budget::{Budget, Known};
+use stiction::core::gap::document::GapDocument;
+use stiction::core::gap::{Diagnosis, GapOptions, Serial, UNKNOWN, diagnose};
+use stiction::core::ident::controller;
+use stiction::core::record::Record;
 use stiction_lab::hybrid::{EFFECTS, Loop};
 
 /// Samples of a recording that are taken.

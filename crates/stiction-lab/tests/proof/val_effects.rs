@@ -6,10 +6,10 @@
 
 use std::collections::BTreeMap;
 
-use stiction_core::detect::oscillation;
-use stiction_core::gap::budget::{Budget, Known};
-use stiction_core::gap::{GapOptions, Serial, diagnose};
-use stiction_core::record::Record;
+use stiction::core::detect::oscillation;
+use stiction::core::gap::budget::{Budget, Known};
+use stiction::core::gap::{GapOptions, Serial, diagnose};
+use stiction::core::record::Record;
 use stiction_lab::challenge::{Deck, Kind, Split, TruthCase};
 
 /// Models tried in a diagnosis.

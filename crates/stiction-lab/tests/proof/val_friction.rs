@@ -7,8 +7,8 @@
 use std::collections::BTreeMap;
 
 use super::val_effects::asked;
-use stiction_core::detect::oscillation;
-use stiction_core::gap::{DEFAULT_EVALUATIONS, GapOptions, Serial, diagnose};
+use stiction::core::detect::oscillation;
+use stiction::core::gap::{DEFAULT_EVALUATIONS, GapOptions, Serial, diagnose};
 use stiction_lab::challenge::{Deck, Kind, Split};
 
 #[test]

@@ -2,11 +2,11 @@
 
 use crate::labelled;
 
-use stiction_core::detect::oscillation;
-use stiction_core::gap::document::GapDocument;
-use stiction_core::gap::text::{answer, summary};
-use stiction_core::gap::{GapOptions, Serial, diagnose};
-use stiction_core::guard::SHIFT_S;
+use stiction::core::detect::oscillation;
+use stiction::core::gap::document::GapDocument;
+use stiction::core::gap::text::{answer, summary};
+use stiction::core::gap::{GapOptions, Serial, diagnose};
+use stiction::core::guard::SHIFT_S;
 
 /// Models tried for each record: a fraction of what `gap` takes, so that the test ends in minutes.
 const EVALUATIONS: u64 = 20_000;

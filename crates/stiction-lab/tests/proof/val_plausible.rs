@@ -4,11 +4,11 @@
 
 use crate::labelled;
 
-use stiction_core::guard::{PV_SPANS, SHIFT_S};
-use stiction_core::record::Record;
-use stiction_core::verdict::Assessment;
-use stiction_core::verdict::bump_test::bump_test;
-use stiction_core::verdict::words;
+use stiction::core::guard::{PV_SPANS, SHIFT_S};
+use stiction::core::record::Record;
+use stiction::core::verdict::Assessment;
+use stiction::core::verdict::bump_test::bump_test;
+use stiction::core::verdict::words;
 
 /// What is wrong with an answer, by bounds that are wider than the program's own and know nothing of its table.
 fn nonsense(a: &Assessment, record: &Record, kind: &str) -> Vec<String> {

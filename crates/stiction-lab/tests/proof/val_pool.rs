@@ -3,9 +3,9 @@
 //! `cargo test -p stiction-lab --test proof val_pool -- --ignored --nocapture` prints the table; `SEED` (46), `CASES` (1) of
 //! each effect and `EVALUATIONS` choose the loops and the search.
 
-use stiction_core::gap::pool::{self, PoolError, Together, Window};
-use stiction_core::gap::{Diagnosis, GapOptions, NONE, Serial, UNKNOWN, diagnose};
-use stiction_core::record::Record;
+use stiction::core::gap::pool::{self, PoolError, Together, Window};
+use stiction::core::gap::{Diagnosis, GapOptions, NONE, Serial, UNKNOWN, diagnose};
+use stiction::core::record::Record;
 use stiction_lab::challenge::Kind;
 use stiction_lab::challenge::windows::{InWindows, in_windows};
 

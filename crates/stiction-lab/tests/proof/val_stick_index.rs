@@ -6,8 +6,8 @@
 use crate::labelled;
 use std::collections::BTreeMap;
 
-use stiction_core::ident::one_step::{Search, toolbox};
-use stiction_core::signal::stats;
+use stiction::core::ident::one_step::{Search, toolbox};
+use stiction::core::signal::stats;
 
 const FOLDER: &str = labelled::RECORDINGS;
 /// Least correlation. The zero in front of the record matters: without it 0.969.
@@ -25,7 +25,7 @@ fn printed() -> BTreeMap<String, [f64; 2]> {
 }
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let (a, b) = (stiction_core::signal::detrend::remove_mean(a), stiction_core::signal::detrend::remove_mean(b));
+    let (a, b) = (stiction::core::signal::detrend::remove_mean(a), stiction::core::signal::detrend::remove_mean(b));
     stats::dot(&a, &b) / (stats::dot(&a, &a) * stats::dot(&b, &b)).sqrt()
 }
 

@@ -7,9 +7,9 @@ use std::io::Write as _;
 
 use crate::labelled;
 
-use stiction_core::detect::oscillation;
-use stiction_core::gap::{Diagnosis, GapOptions, Serial, diagnose};
-use stiction_core::record::Record;
+use stiction::core::detect::oscillation;
+use stiction::core::gap::{Diagnosis, GapOptions, Serial, diagnose};
+use stiction::core::record::Record;
 use stiction_lab::challenge::{Deck, Split};
 
 /// Samples of a recording that are taken.

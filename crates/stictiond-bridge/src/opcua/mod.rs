@@ -34,7 +34,7 @@ mod with {
     use super::server::ServerArgs;
     use super::serving::serve;
     use crate::bus::{BusArgs, document};
-    use stiction_command::{Format, Outcome, UsageError, asked_to_stop, block_on, list, say};
+    use stictiond::cli::{Format, Outcome, UsageError, asked_to_stop, block_on, list, say};
 
     /// Time that the server's queues cover by default, in addition to the publishing interval, ms.
     const QUEUE_MS: u32 = 10_000;

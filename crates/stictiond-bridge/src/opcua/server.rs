@@ -16,8 +16,8 @@ use opcua::crypto::{CertificateStore, SecurityPolicy, X509};
 use opcua::types::{EndpointDescription, MessageSecurityMode, StatusCode};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 
-use stiction_command::UsageError;
-use stiction_runtime::secrets::secret;
+use stictiond::cli::UsageError;
+use stictiond::runtime::secrets::secret;
 
 /// Time limit for an answer of the server.
 const ANSWER: Duration = Duration::from_secs(10);

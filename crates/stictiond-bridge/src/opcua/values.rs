@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use stiction_core::units::format_rfc3339;
+use stiction::core::units::format_rfc3339;
 
 /// Publisher name in the payloads.
 pub const ENCODING: &str = "application/opcua+uajson";
@@ -147,8 +147,8 @@ mod server {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction_core::record::{Signal, Value};
-    use stiction_monitor::codec;
+    use stiction::core::record::{Signal, Value};
+    use stiction_engine::codec;
 
     #[test]
     fn status_codes_say_trust_and_overflow() {

@@ -5,8 +5,8 @@ use serde::Serialize;
 use super::{Judged, Right};
 use crate::challenge::kinds::Kind;
 use crate::challenge::truth::Truth;
-use stiction_core::signal::stats::median;
-use stiction_core::verdict::tally::{Bin, Scored, brier, reliability_equal, wilson};
+use stiction::core::signal::stats::median;
+use stiction::core::verdict::tally::{Bin, Scored, brier, reliability_equal, wilson};
 
 /// Cases per line of the reliability table, and most lines.
 const BINS: usize = 6;

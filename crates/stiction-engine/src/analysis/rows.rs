@@ -1,0 +1,158 @@
+//! Rows of a table to samples: which cells are missing values, which are none, and in which order rows are taken.
+//!
+//! An empty cell of OP or PV is a missing sample. In the other columns it is no sample (set points and modes are often
+//! written when they change), and so it is where OP and PV stand in rows of their own, as when both carry their own
+//! stamps. A table whose rows are newest first, or shuffled, is sorted by time. Each change gives a line.
+
+use stiction::core::record::{Sample, Signal, Value};
+
+/// Steps back from which a table stands newest first, if they outnumber the steps on.
+const NEWEST_FIRST: u64 = 3;
+/// Steps back from which a table is in disorder, if they are one in twenty: recordings have a few late rows, which stay where
+/// they came.
+const DISORDER: u64 = 10;
+/// Fewest samples of a sorted block.
+const BLOCK: usize = 20;
+
+/// Rows as they come.
+#[derive(Debug, Clone, Default)]
+pub struct Rows {
+    out: Joined,
+    /// Indices of samples that stand for empty cells.
+    empty: Vec<usize>,
+    /// Whether the row under way has OP, and PV.
+    has: [bool; 2],
+    /// Rows with OP and PV, with OP alone, with PV alone.
+    both: u64,
+    op_only: u64,
+    pv_only: u64,
+    /// Time of the row under way, and how often time went on or back from one row to the next.
+    t_ns: Option<i64>,
+    forward: u64,
+    backward: u64,
+}
+
+/// The samples of a table.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Joined {
+    /// Samples in the order of the rows; within a row as they were handed in.
+    pub samples: Vec<Sample>,
+    /// Rows.
+    pub rows: u64,
+    /// Cells that are empty or not finite.
+    pub missing: u64,
+    /// What a person should know, one line each.
+    pub warnings: Vec<String>,
+}
+
+impl Rows {
+    /// A new row; its cells follow.
+    pub fn begin(&mut self, t_ns: i64) {
+        self.close();
+        self.out.rows += 1;
+        if let Some(last_ns) = self.t_ns.replace(t_ns) {
+            self.forward += u64::from(t_ns > last_ns);
+            self.backward += u64::from(t_ns < last_ns);
+        }
+    }
+
+    /// A cell of the row, `None` where it is empty; cells of a row come in the order of [`Signal::ALL`].
+    pub fn cell(&mut self, signal: Signal, cell: Option<Value>) {
+        let required = match signal {
+            Signal::Op => Some(0),
+            Signal::Pv => Some(1),
+            _ => None,
+        };
+        let value = match (cell, required) {
+            (Some(value), at) => {
+                at.into_iter().for_each(|at| self.has[at] = true);
+                value
+            }
+            (None, None) => return,
+            (None, Some(_)) => {
+                self.empty.push(self.out.samples.len());
+                Value::Missing
+            }
+        };
+        self.out.missing += u64::from(value == Value::Missing);
+        self.out.samples.push(Sample { signal, t_ns: self.t_ns.unwrap_or(0), value, quality: None });
+    }
+
+    fn close(&mut self) {
+        let [op, pv] = std::mem::take(&mut self.has);
+        self.both += u64::from(op && pv);
+        self.op_only += u64::from(op && !pv);
+        self.pv_only += u64::from(pv && !op);
+    }
+
+    /// The samples of all rows.
+    #[must_use]
+    pub fn finish(mut self) -> Joined {
+        self.close();
+        // A dead sensor leaves rows of one kind only.
+        if self.op_only.min(self.pv_only) > self.both {
+            self.out.warnings.push(format!(
+                "op and pv are in separate rows ({} and {} of {} rows): empty cells are not samples",
+                self.op_only, self.pv_only, self.out.rows
+            ));
+            self.drop_empty();
+        }
+        self.order();
+        self.out
+    }
+
+    /// Sorts a table by time if its rows are newest first or shuffled; rows of one time stay as they came.
+    fn order(&mut self) {
+        let out = &mut self.out;
+        let newest_first = self.backward >= NEWEST_FIRST && self.backward > self.forward;
+        if newest_first {
+            out.warnings.push(format!("the {} rows are newest first: sorted by time", out.rows));
+        } else if self.backward >= DISORDER && 20 * self.backward > out.rows || swapped_blocks(&out.samples) {
+            out.warnings.push(format!("the {} rows are out of order: sorted by time", out.rows));
+        } else {
+            return;
+        }
+        out.samples.sort_by_key(|sample| sample.t_ns);
+    }
+
+    fn drop_empty(&mut self) {
+        let mut empty = self.empty.iter().copied().peekable();
+        let mut at = 0;
+        self.out.samples.retain(|_| {
+            let drop = empty.next_if_eq(&at).is_some();
+            at += 1;
+            !drop
+        });
+        self.out.missing -= self.empty.len() as u64;
+    }
+}
+
+/// Whether samples come in sorted blocks that do not overlap, such as days that were joined the wrong way round. A clock that was
+/// set back also gives sorted blocks, but they overlap.
+fn swapped_blocks(samples: &[Sample]) -> bool {
+    let mut blocks: Vec<&[Sample]> = samples.chunk_by(|a, b| a.t_ns <= b.t_ns).collect();
+    if blocks.len() < 2 || blocks.iter().any(|block| block.len() < BLOCK) {
+        return false;
+    }
+    blocks.sort_by_key(|block| block[0].t_ns);
+    blocks.windows(2).all(|pair| pair[0][pair[0].len() - 1].t_ns < pair[1][0].t_ns)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn empty_cells_are_missing_only_where_every_row_should_have_them() {
+        let mut rows = Rows::default();
+        for k in 0..3 {
+            rows.begin(k);
+            rows.cell(Signal::Op, (k != 1).then_some(Value::Number(1.0)));
+            rows.cell(Signal::Sp, None);
+            rows.cell(Signal::Pv, Some(Value::Number(2.0)));
+        }
+        let found = rows.finish();
+        assert_eq!((found.samples.len(), found.rows, found.missing), (6, 3, 1));
+        assert!(found.warnings.is_empty());
+    }
+}

@@ -1,0 +1,74 @@
+//! Other loops that a gap diagnosis may find acting on its loop: those upstream, the members of its group, those of its area.
+//!
+//! Their histories are cut to the time of the diagnosed record when the diagnosis is asked for. Their samples may come from
+//! elsewhere in another order when a recording is replayed, so the recording holds what was taken: single precision is enough,
+//! and the diagnosis itself is made from the recorded values.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Engine, GapRequest};
+use stiction::core::gap::Neighbour;
+
+/// Most loops that are offered to a diagnosis.
+pub const MOST: usize = 8;
+
+/// Another loop on the grid of a diagnosed record, as it is recorded.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RecordedNeighbour {
+    /// Its name.
+    pub name: String,
+    /// Its PV at each point.
+    pub pv: Vec<f32>,
+    /// Its OP at each point.
+    pub op: Vec<f32>,
+}
+
+impl RecordedNeighbour {
+    fn of(neighbour: &Neighbour) -> Self {
+        let single = |x: &[f64]| x.iter().map(|v| *v as f32).collect();
+        Self { name: neighbour.name.clone(), pv: single(&neighbour.pv), op: single(&neighbour.op) }
+    }
+
+    /// As a diagnosis takes it.
+    #[must_use]
+    pub fn neighbour(&self) -> Neighbour {
+        let double = |x: &[f32]| x.iter().map(|v| f64::from(*v)).collect();
+        Neighbour { name: self.name.clone(), pv: double(&self.pv), op: double(&self.op) }
+    }
+}
+
+impl Engine {
+    /// The loops that may act on that of a request, as far as they were recorded during its window; at most [`MOST`].
+    #[must_use]
+    pub fn neighbours_of(&self, request: &GapRequest) -> Vec<RecordedNeighbour> {
+        let mut names: Vec<&str> = Vec::new();
+        for name in self.candidates(request) {
+            if *name != *request.loop_name && !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        names.into_iter().filter_map(|name| self.on_grid(name, request)).take(MOST).collect()
+    }
+
+    /// Upstream first, then the group with its source first, then the area by name.
+    fn candidates<'a>(&'a self, request: &GapRequest) -> impl Iterator<Item = &'a str> {
+        let own = self.of(request.id);
+        let place = &own.settings.place;
+        let group = own.group.iter().flat_map(|standing| standing.others.iter());
+        let mut area: Vec<&str> = Vec::new();
+        if place.area.is_some() {
+            let there = self.loops.iter().flatten().filter(|other| other.settings.place.area == place.area);
+            area.extend(there.map(|other| &*other.name));
+            area.sort_unstable();
+        }
+        place.upstream.iter().chain(group).map(String::as_str).chain(area)
+    }
+
+    /// A loop on the grid of a request's record; `None` where it was not recorded throughout, or does not move.
+    fn on_grid(&self, name: &str, request: &GapRequest) -> Option<RecordedNeighbour> {
+        let snapshot = self.snapshot(self.find(name)?, Some(request.record.end_ns))?;
+        let other = snapshot.since(request.record.start_ns)?;
+        let recorded = RecordedNeighbour::of(&Neighbour::of(name, &other, &request.record).ok()?);
+        recorded.neighbour().check(request.record.len()).is_ok().then_some(recorded)
+    }
+}

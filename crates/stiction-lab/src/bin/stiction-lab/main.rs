@@ -1,0 +1,77 @@
+//! `stiction-lab` checks and calibrates what `stictiond` says: challenges with a withheld cause, the fits of the classifier, of
+//! the intervals and of the rules for plants, causes of known loops. A plant's daemon needs none of it.
+
+#![allow(clippy::disallowed_methods, clippy::disallowed_types)]
+
+mod bench;
+mod calibrate;
+mod causes;
+mod challenge;
+mod evaluate;
+mod fleet;
+mod repeat;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+use stictiond::cli::manual::{self, ManualArgs, Shell};
+use stictiond::cli::{Outcome, OutputArgs, exit_code, log, parse, print};
+
+/// Check the gap diagnosis on withheld causes, and calibrate the classifier, the intervals and the rules for plants.
+///
+/// Exit codes: 0 done, 1 failed, 2 wrong command line.
+#[derive(Debug, Parser)]
+#[command(name = "stiction-lab", version, max_term_width = 100)]
+struct Cli {
+    #[command(flatten)]
+    output: OutputArgs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Challenge(challenge::Args),
+    Calibrate(calibrate::Args),
+    Evaluate(evaluate::Args),
+    Bench(bench::Args),
+    Causes(causes::Args),
+    Repeat(repeat::Args),
+    /// Time the comparison of 1,000, 10,000 and 100,000 loops, of which one in five oscillates.
+    Fleet,
+    /// Write man pages, one per command.
+    Manual(ManualArgs),
+    /// Print completions for a shell.
+    Completions {
+        /// The shell.
+        shell: Shell,
+    },
+}
+
+/// Reads the command line and runs one command.
+fn main() -> ExitCode {
+    let cli: Cli = match parse() {
+        Ok(cli) => cli,
+        Err(code) => return code,
+    };
+    log::start(cli.output.log, "info");
+    exit_code("stiction-lab", run(&cli))
+}
+
+fn run(cli: &Cli) -> anyhow::Result<Outcome> {
+    let format = cli.output.format;
+    match &cli.command {
+        Command::Challenge(args) => challenge::run(args, format),
+        Command::Calibrate(args) => calibrate::run(args, format),
+        Command::Evaluate(args) => evaluate::run(args, format),
+        Command::Bench(args) => bench::run(args, format),
+        Command::Causes(args) => causes::run(args, format),
+        Command::Repeat(args) => repeat::run(args, format),
+        Command::Fleet => fleet::run(format),
+        Command::Manual(args) => manual::run(Cli::command(), args, format),
+        Command::Completions { shell } => {
+            print(&manual::completions(Cli::command(), *shell))?;
+            Ok(Outcome::Done)
+        }
+    }
+}

@@ -1,0 +1,588 @@
+//! The published diagnosis, `stictiond.gap.v1`.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::agree;
+use super::budget::document::{BudgetNote, CANNOT_BE_TOLD, NOT_IN_CATALOGUE, TOLD, TellableNote};
+use super::budget::{self, Budget};
+use super::decide::LITTLE;
+use super::effects;
+use super::enough::EnoughNote;
+use super::judged::Diagnosis;
+use super::locate::{Location, Subject, locate};
+use super::loop_run::{self, Cycles};
+use super::model::Model;
+use super::next_test::HOLDS;
+use super::pool::WindowNote;
+use super::set_point::{self, Move};
+use super::sizes::{Quantity, share_left};
+use super::types::{
+    Alternative, Base, Cause, Compared, EffectResult, Ended, Fit, Forward, FromSp, GapOptions, NONE, NextTest,
+    NoiseModels, Parameter, Stage, UNKNOWN,
+};
+use super::typical::{self, Known, TypicalNote};
+use super::valve_note::ValveNote;
+use crate::core::record::Record;
+use crate::core::signal::stats;
+use crate::core::units::Moment;
+use crate::core::verdict::Assessment;
+
+/// Schema name of a diagnosis.
+pub const GAP_SCHEMA: &str = "stictiond.gap.v1";
+
+/// Time range of the diagnosis.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Window {
+    /// Timestamp of the first sample, ns since 1970.
+    pub start_ns: i64,
+    /// Timestamp of the last sample, ns since 1970.
+    pub end_ns: i64,
+    /// The start, RFC 3339.
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(with = "String"))]
+    pub start: Moment,
+    /// The end, RFC 3339.
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(with = "String"))]
+    pub end: Moment,
+    /// Raw samples.
+    pub samples: u64,
+    /// Mean sampling time, s.
+    pub ts_s: f64,
+    /// Raw samples per point of the simulation (1: raw).
+    pub box_samples: u64,
+}
+
+/// Statistics of the search.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct SearchNote {
+    /// Model responses of all searches: base and effects, with a recorded valve position, pairs.
+    pub evaluations: u64,
+    /// Most responses per search.
+    pub budget: u64,
+    /// Why the search for base and effects ended: `noise`, `explained`, `agreement`, `complete`, `budget` or `stopped`.
+    pub ended: Ended,
+}
+
+/// Base model of the gap.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct BaseNote {
+    /// `refit` (He's model, first order, fitted here), `linear` (no friction) or `given` (a given model, in addition to the
+    /// refitted base).
+    pub source: String,
+    /// Valve model of the refitted base: `he` or `none`.
+    pub valve_model: String,
+    /// Its order.
+    pub order: u8,
+    /// Whether it is integrating.
+    pub integrating: bool,
+    /// The refitted base, which can be simulated.
+    pub model: Model,
+}
+
+/// A gap on held-out data, free run, PV units.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Figures {
+    /// Root mean squared error.
+    pub rmse: f64,
+    /// Noise floor; for held or compressed PV from the stored values, `None` if they are too few.
+    pub noise_floor: Option<f64>,
+    /// Part above the floor: `sqrt(max(rmse^2 - noise_floor^2, 0))`; the full error without a floor.
+    pub gap: f64,
+    /// Gap relative to PV's standard deviation.
+    pub relative: Option<f64>,
+}
+
+/// An effect added to the base.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct EffectNote {
+    /// Its id, or two joined by `+`.
+    pub id: String,
+    /// Where it acts.
+    pub stage: String,
+    /// Its parameters as fitted.
+    pub parameters: BTreeMap<String, Quantity>,
+    /// Gap of the base, PV units.
+    pub gap_before: f64,
+    /// Gap with the effect.
+    pub gap_after: f64,
+    /// Noise floor with the effect, PV units, for effects that a free run cannot predict.
+    pub floor_after: Option<f64>,
+    /// 100 (1 - after / before); `None` if undefined.
+    pub closed_pct: Option<f64>,
+    /// 90 % interval of it.
+    pub closed_interval: Option<[f64; 2]>,
+    /// Gain in training log mean squared error over the base, after BIC.
+    pub evidence: f64,
+    /// Evidence minus the margin needed for naming it.
+    pub lead: f64,
+    /// Effects that are indistinguishable from it.
+    pub confusable_with: Vec<String>,
+    /// The measurement that would distinguish it.
+    pub separated_by: String,
+    /// Whether its training error reaches the noise floor; `None` for effects without simulation.
+    pub at_floor: Option<bool>,
+    /// Whether it is a wave with the period of the sticking valve's limit cycle, which makes it.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub own_cycle: bool,
+    /// Whether it is a load that begins while PV answers a move of the set point the same way.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub follows_set_point: bool,
+}
+
+/// The answer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct CauseNote {
+    /// An effect's id, two joined by `+`, `none` or `unknown`.
+    pub id: String,
+    /// Probability that the answer is right.
+    pub probability: f64,
+    /// Whether it also closes the gap on held-out data and in forward prediction; false means "suspected", as always where the
+    /// base leaves more of held-out PV than PV's mean does.
+    pub confirmed: bool,
+    /// Why it is `unknown`: `not_in_catalogue`, or `cannot_be_told` where the record holds too little or the base leaves more of
+    /// PV than PV's mean does. That is also said of a suspected effect of the plant and of a cause that closes next to nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
+}
+
+impl CauseNote {
+    /// The answer of a diagnosis, and why it is no better by what the record can tell.
+    fn of(diagnosis: &Diagnosis, told: Option<&TellableNote>) -> Self {
+        let Cause { id, probability, confirmed, .. } = &diagnosis.cause;
+        let note = Self { id: id.clone(), probability: *probability, confirmed: *confirmed, why: None };
+        let leads = diagnosis.named().is_none_or(|e| e.closed_pct.is_none_or(|closed| closed >= LITTLE));
+        let is_judged = !diagnosis.is_worse_than_mean();
+        let why = told.and_then(|told| note.why_by(told, leads, is_judged)).map(str::to_owned);
+        Self { why, ..note }
+    }
+
+    /// What keeps the answer from being sure, where the record tells it. `leads` is false for a cause that closes next to nothing,
+    /// `is_judged` is false where the base is worse than PV's mean.
+    pub(super) fn why_by(&self, told: &TellableNote, leads: bool, is_judged: bool) -> Option<&'static str> {
+        let hardly = told.gain_nats < TOLD[0];
+        // PV alone shows what a sensor or a recorder did to it.
+        let acts_in_plant =
+            || effects::parts(&self.id).all(|id| effects::by_id(id).is_some_and(|e| e.stage != Stage::Measurement));
+        match self.id.as_str() {
+            NONE => None,
+            UNKNOWN if is_judged && !hardly => Some(NOT_IN_CATALOGUE),
+            UNKNOWN => Some(CANNOT_BE_TOLD),
+            _ if !is_judged => Some(CANNOT_BE_TOLD),
+            _ => (hardly && (!leads || !self.confirmed && acts_in_plant())).then_some(CANNOT_BE_TOLD),
+        }
+    }
+}
+
+/// Another possible answer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct AlternativeNote {
+    /// As [`CauseNote::id`].
+    pub id: String,
+    /// Probability that the answer is right.
+    pub probability: f64,
+}
+
+/// Gaps over the second part for models fitted to the first part.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct ForwardNote {
+    /// Gap of the base, PV units.
+    pub gap_before: f64,
+    /// Gap with the cause, PV units.
+    pub gap_after: f64,
+    /// 100 (1 - after / before).
+    pub closed_pct: Option<f64>,
+}
+
+/// The experiment that distinguishes the two best answers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct TestNote {
+    /// `op` or `sp`.
+    pub signal: String,
+    /// Height of the bump, units of the signal.
+    pub size: f64,
+    /// Its duration, s.
+    pub duration_s: f64,
+    /// The two answers.
+    pub separates: [String; 2],
+    /// Probability that it distinguishes them.
+    pub p: f64,
+    /// How long the whole test takes, s.
+    #[serde(default)]
+    pub total_s: f64,
+    /// How far PV goes, PV units.
+    #[serde(default)]
+    pub moves_pv: f64,
+}
+
+/// The model with the cause, as accepted by `simulate`, `analyze` and `gap --base`, with the terms of an estimate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct ModelAfter {
+    /// The model.
+    #[serde(flatten)]
+    pub model: Model,
+    /// Static band, OP units; `None` without friction.
+    pub fs: Option<f64>,
+    /// Kinetic band, OP units; `None` without friction.
+    pub fd: Option<f64>,
+    /// fs + fd.
+    pub s: Option<f64>,
+    /// fs - fd.
+    pub j: Option<f64>,
+    /// `he`, `tracking` or `none`.
+    pub valve_model: String,
+}
+
+/// Noise models of the residual, as [`super::types::NoiseModels`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct NoiseNote {
+    /// Gain of an autoregressive model of the best residual, log mean squared error.
+    pub over_base: f64,
+    /// Advantage over the best structural model, log mean squared error.
+    pub over_best: f64,
+    /// Smallest p value for independence.
+    pub independence_p: f64,
+    /// Whether it leaves white noise.
+    pub whitens: bool,
+}
+
+/// The document.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct GapDocument {
+    /// [`GAP_SCHEMA`].
+    pub schema: String,
+    /// The loop's name.
+    #[serde(rename = "loop")]
+    pub loop_name: String,
+    /// Time range of the diagnosis.
+    pub window: Window,
+    /// What `analyze` says of the valve in the same record.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub valve: Option<ValveNote>,
+    /// Base model.
+    pub base: BaseNote,
+    /// That the base is good enough; absent where it is not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub good_enough: Option<EnoughNote>,
+    /// Gap of the refitted base.
+    pub gap: Figures,
+    /// Gap of the given model.
+    pub given: Option<Figures>,
+    /// Part of the given model's gap that refitting closes, PV units: given minus refitted.
+    pub parametric: Option<f64>,
+    /// Where the gap is.
+    #[serde(rename = "where")]
+    pub location: Location,
+    /// All effects tried, best first.
+    pub effects: Vec<EffectNote>,
+    /// The answer.
+    pub cause: CauseNote,
+    /// A second cause: an effect in the plant beneath an artefact of the historian, or that artefact.
+    #[serde(default)]
+    pub second_cause: Option<AlternativeNote>,
+    /// Other possible answers, best first, without the cause.
+    pub alternatives: Vec<AlternativeNote>,
+    /// Forward prediction.
+    pub forward: Option<ForwardNote>,
+    /// The base with the cause and the second cause.
+    pub model_after: ModelAfter,
+    /// The experiment that distinguishes the likeliest answers.
+    pub next_test: Option<TestNote>,
+    /// Model responses computed.
+    pub evaluations: u64,
+    /// The search: responses used and allowed, and why it ended.
+    pub search: SearchNote,
+    /// Whether the search ended early.
+    pub stopped_early: bool,
+    /// Pairs of effects, best first; empty if one effect explains the record, unless requested.
+    pub pairs: Vec<EffectNote>,
+    /// Noise models of the residual.
+    pub noise_models: NoiseNote,
+    /// The simulated closed loop, if the controller can be identified.
+    pub closed_loop: Option<Cycles>,
+    /// The closed loop from SP alone, over the part that was not fitted; none where SP hardly moves or no controller can be read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from_sp: Option<FromSp>,
+    /// PV's variance, split under a noise model.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<BudgetNote>,
+    /// What the record can tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tellable: Option<TellableNote>,
+    /// How far the record lies from those that the cause's probability was calibrated on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub typical: Option<TypicalNote>,
+    /// The windows that were decided together, if there are several; all else but the answer is of the one that is `shown`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub pooled: Vec<WindowNote>,
+    /// Comparison with other loops, if some were offered.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub neighbours: Option<Compared>,
+    /// Version of the program.
+    pub version: String,
+}
+
+/// 100 (1 - after / before); `None` if there was no gap.
+#[must_use]
+pub fn closed_pct(before: f64, after: f64) -> Option<f64> {
+    let pct = 100.0 * (1.0 - after / before);
+    (before > 0.0 && pct.is_finite()).then_some(pct)
+}
+
+impl GapDocument {
+    /// Makes the document of a diagnosis of a record with these options, which says nothing of the valve by itself.
+    #[must_use]
+    pub fn new(loop_name: &str, record: &Record, options: &GapOptions, diagnosis: &Diagnosis) -> Self {
+        Self::beside(loop_name, record, options, diagnosis, None)
+    }
+
+    /// The same beside what `analyze` makes of the record.
+    #[must_use]
+    pub fn beside(
+        loop_name: &str,
+        record: &Record,
+        options: &GapOptions,
+        diagnosis: &Diagnosis,
+        assessment: Option<&Assessment>,
+    ) -> Self {
+        let valve = assessment.map(ValveNote::of);
+        let [mut effects, pairs] = [&diagnosis.findings.effects, &diagnosis.findings.pairs]
+            .map(|all| all.iter().map(EffectNote::of).collect::<Vec<_>>());
+        let closed_loop = loop_run::cycles(record, diagnosis);
+        let budget = Budget::of(record, known(diagnosis));
+        let explained = closed_loop.as_ref().map(|cycles| cycles.controller.r2);
+        let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.findings.base.slips, explained));
+        let mut cause = CauseNote::of(diagnosis, tellable.as_ref());
+        let sp_moves = set_point::moves(record);
+        let against = held_against(record, diagnosis, &effects, (valve.as_ref(), &sp_moves));
+        let not_outside: Vec<[bool; 2]> =
+            effects.iter().map(|e| [against.is_own_cycle(e), against.follows_set_point(e)]).collect();
+        let doubted = effects.iter().zip(&not_outside).filter(|(_, why)| why.contains(&true));
+        cause.confirmed &= !doubted.into_iter().any(|(e, _)| e.id == cause.id);
+        let named = effects.iter().chain(&pairs).find(|e| e.id == cause.id);
+        let named = named.map(|e| (&e.parameters, cause.confirmed));
+        let mut budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.findings.signatures, named));
+        if let Some(budget) = &mut budget {
+            against.settle(budget);
+        }
+        for (effect, why) in effects.iter_mut().zip(not_outside) {
+            [effect.own_cycle, effect.follows_set_point] = why;
+        }
+        let deviation = stats::std_dev(&record.pv);
+        let spent = diagnosis.spent;
+        let figures = |fit: &Fit| Figures::of(fit, diagnosis.findings.floor.noise_floor, deviation);
+        let given = diagnosis.findings.given.as_ref().map(figures);
+        let gap = figures(&diagnosis.findings.base);
+        let floor = gap.noise_floor.map(|floor| floor / deviation);
+        let good_enough = gap.relative.and_then(|left| EnoughNote::of(left, floor));
+        // One guard for all tests of one valve.
+        let may_test = valve.as_ref().is_none_or(|valve| valve.no_bump_test.is_none() && valve.position.is_none());
+        Self {
+            schema: GAP_SCHEMA.to_owned(),
+            loop_name: loop_name.to_owned(),
+            window: Window::of(record),
+            base: BaseNote::of(&options.base, &diagnosis.findings.base),
+            valve,
+            good_enough,
+            gap,
+            given,
+            parametric: given.map(|g| g.gap - diagnosis.findings.base.gap),
+            location: locate(record, &Subject::of(diagnosis, options.period_points, options.seed)),
+            effects,
+            cause,
+            second_cause: diagnosis.second.as_ref().map(AlternativeNote::of),
+            alternatives: diagnosis.alternatives.iter().map(AlternativeNote::of).collect(),
+            forward: diagnosis.forward.map(ForwardNote::of),
+            model_after: ModelAfter::of(&diagnosis.model_after),
+            next_test: diagnosis.next_test.as_ref().filter(|_| may_test).map(TestNote::of),
+            evaluations: spent.evaluations,
+            search: SearchNote { evaluations: spent.evaluations, budget: spent.budget, ended: spent.ended },
+            stopped_early: spent.stopped_early,
+            pairs,
+            noise_models: NoiseNote::of(&diagnosis.findings.basis.noise),
+            closed_loop,
+            from_sp: diagnosis.from_sp,
+            budget,
+            tellable,
+            typical: Known::shipped().note(&typical::place(&diagnosis.findings.basis, &diagnosis.features)),
+            pooled: Vec::new(),
+            neighbours: diagnosis.findings.neighbours.clone(),
+            version: crate::core::VERSION.to_owned(),
+        }
+    }
+
+    /// Whether the base, with the named cause where there is one, follows held-out PV worse than PV's mean does.
+    pub(super) fn is_worse_than_mean(&self) -> bool {
+        let (given, closed) = (self.given.map(|given| given.gap), self.named().and_then(|e| e.closed_pct));
+        self.gap.relative.is_some_and(|relative| share_left(relative, self.gap.gap, given, closed) > 1.0)
+    }
+
+    /// The named effect, unless it closes next to nothing: then it is a side note.
+    pub(super) fn leading(&self) -> Option<&EffectNote> {
+        self.named().filter(|e| e.closed_pct.is_none_or(|closed| closed >= LITTLE))
+    }
+
+    /// The named effect, unless the answer is `none` or `unknown`.
+    #[must_use]
+    pub fn named(&self) -> Option<&EffectNote> {
+        self.effects.iter().chain(&self.pairs).find(|e| e.id == self.cause.id)
+    }
+}
+
+/// What the budget of a diagnosis is held against.
+fn held_against<'a>(
+    record: &Record,
+    diagnosis: &Diagnosis,
+    effects: &'a [EffectNote],
+    (valve, sp_moves): (Option<&ValveNote>, &'a [Move]),
+) -> agree::Known<'a> {
+    let base = &diagnosis.findings.base;
+    let sticks = valve.is_some_and(ValveNote::does_stick);
+    let model = if base.model.valve.law == "none" { &diagnosis.model_after } else { &base.model };
+    let noise_sd = diagnosis.findings.floor.noise_sd.unwrap_or(0.0);
+    agree::Known {
+        effects,
+        cycle_s: valve.and_then(|valve| valve.cycle_s),
+        of_friction: sticks.then(|| loop_run::share_of_friction(record, model, noise_sd)).flatten(),
+        sp_moves,
+        point_s: record.point_s(),
+        record_s: record.len() as f64 * record.point_s(),
+        answer_s: base.dead_time_s + base.time_constants_s.iter().sum::<f64>(),
+    }
+}
+
+/// What the diagnosis knows for the budget: the models fitted to the whole record, PV's noise and the loads.
+fn known(diagnosis: &Diagnosis) -> budget::Known<'_> {
+    budget::Known {
+        models: &diagnosis.fits_to_all,
+        from: diagnosis.findings.blocks.from,
+        period: None,
+        noise_sd: diagnosis.findings.floor.noise_sd,
+        loads: &diagnosis.findings.loads,
+    }
+}
+
+impl Window {
+    fn of(record: &Record) -> Self {
+        Self {
+            start_ns: record.start_ns,
+            end_ns: record.end_ns,
+            start: Moment(record.start_ns),
+            end: Moment(record.end_ns),
+            samples: record.raw_samples as u64,
+            ts_s: record.recorded_ts_s,
+            box_samples: record.box_samples as u64,
+        }
+    }
+}
+
+impl Figures {
+    fn of(fit: &Fit, noise_floor: Option<f64>, deviation: f64) -> Self {
+        let relative = (deviation > 0.0).then(|| fit.gap / deviation);
+        Self { rmse: fit.rmse, noise_floor, gap: fit.gap, relative }
+    }
+}
+
+impl ForwardNote {
+    fn of(forward: Forward) -> Self {
+        let Forward { gap_before, gap_after } = forward;
+        Self { gap_before, gap_after, closed_pct: closed_pct(gap_before, gap_after) }
+    }
+}
+
+impl TestNote {
+    fn of(test: &NextTest) -> Self {
+        let NextTest { signal, size, duration_s, separates, p, moves_pv } = test.clone();
+        Self { signal: signal.to_owned(), size, duration_s, separates, p, total_s: HOLDS * duration_s, moves_pv }
+    }
+}
+
+impl NoiseNote {
+    fn of(models: &NoiseModels) -> Self {
+        let NoiseModels { over_base, over_best, independence_p, whitens, .. } = *models;
+        Self { over_base, over_best, independence_p, whitens }
+    }
+}
+
+impl BaseNote {
+    fn of(base: &Base, fit: &Fit) -> Self {
+        let source = match base {
+            Base::Refit => "refit",
+            Base::Linear => "linear",
+            Base::Given(_) => "given",
+        };
+        let process = &fit.model.process;
+        Self {
+            source: source.to_owned(),
+            valve_model: fit.model.valve.law.clone(),
+            order: process.time_constants_s.len() as u8 + u8::from(process.integrating),
+            integrating: process.integrating,
+            model: fit.model.clone(),
+        }
+    }
+}
+
+impl AlternativeNote {
+    fn of(other: &Alternative) -> Self {
+        Self { id: other.id.clone(), probability: other.probability }
+    }
+}
+
+impl EffectNote {
+    fn of(effect: &EffectResult) -> Self {
+        let mut parameters = BTreeMap::new();
+        for Parameter { name, value, unit } in &effect.parameters {
+            // Both effects of a pair may have one of this name: the second's says whose it is.
+            let second = effects::parts(&effect.id).last().unwrap_or_default();
+            let taken = parameters.contains_key(*name);
+            let name = if taken { format!("{second}.{name}") } else { (*name).to_owned() };
+            parameters.insert(name, Quantity { value: *value, unit: (*unit).to_owned() });
+        }
+        Self {
+            id: effect.id.clone(),
+            stage: effect.stage.name().to_owned(),
+            parameters,
+            gap_before: effect.gap_before,
+            gap_after: effect.gap_after,
+            floor_after: effect.floor_after,
+            closed_pct: effect.closed_pct,
+            closed_interval: effect.closed_interval,
+            evidence: effect.evidence,
+            lead: effect.lead,
+            confusable_with: effect.confusable_with.iter().map(|id| (*id).to_owned()).collect(),
+            separated_by: effect.separated_by.to_owned(),
+            at_floor: effect.fit.as_ref().filter(|_| effect.simulated).map(|f| f.at_floor),
+            own_cycle: false,
+            follows_set_point: false,
+        }
+    }
+}
+
+impl ModelAfter {
+    fn of(model: &Model) -> Self {
+        let valve = &model.valve;
+        let rubs = valve.law != "none";
+        Self {
+            fs: rubs.then_some(valve.fs),
+            fd: rubs.then_some(valve.fd),
+            s: rubs.then_some(valve.fs + valve.fd),
+            j: rubs.then_some(valve.fs - valve.fd),
+            valve_model: valve.law.clone(),
+            model: model.clone(),
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! Valve stiction from routine data: whether and how much a control valve sticks, the process behind it, the confidence in
+//! the answer, and what else in the loop the model does not explain.
+//!
+//! Programs outside this repository use what the crate lists at its root. Items here change without notice.
+//!
+//! # Modules
+//! A module imports only modules from the rows above it.
+//!
+//! | layer | modules |
+//! |---|---|
+//! | basics | [`units`] times, names, numbers · [`people`] numbers that a person enters · [`record`] samples, and the record of one estimate · [`guard`] what a test on a loop may ask |
+//! | tools | [`signal`] joining, history, statistics · [`optim`] solvers |
+//! | physics | [`sim`] valve models, processes, controller, noise, closed loop: the only copy of each formula |
+//! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
+//! | judgement | [`verdict`] validity checks, verdict, the estimate's document · [`gap`] model-plant mismatch |
+//! | evaluation | [`over_time`] many windows of one valve · [`plantwide`] loops that share an oscillation · [`repair`] the closed loop without stiction |
+//!
+//! # Determinism
+//! No file, socket, clock, thread, environment or unseeded random numbers: the same record gives bit-identical results on
+//! every machine. Transcendental functions come from `libm`, because system libraries differ in the last bit.
+
+pub mod detect;
+pub mod gap;
+pub mod guard;
+pub mod ident;
+pub mod optim;
+pub mod over_time;
+pub mod people;
+pub mod plantwide;
+pub mod record;
+pub mod repair;
+pub mod signal;
+pub mod sim;
+pub mod units;
+pub mod verdict;
+
+/// Version of library and program, as in documents.
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -1,0 +1,256 @@
+//! What an estimate answers, made once for whoever shows it: where it stands, the sentence, the probability, the grade and
+//! the size, in the one unit in which sizes are told.
+
+use serde::{Deserialize, Serialize};
+
+use super::words;
+use super::{Assessment, Verdict};
+use crate::core::units::number;
+
+/// Probability from which on a valve that is not called sticking is not called unseen either.
+pub const OPEN_FROM: f64 = 0.3;
+
+/// Where an estimate stands on the question whether the valve sticks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Standing {
+    /// It sticks, surely enough to count towards an alarm.
+    Sticks,
+    /// It sticks, but not surely enough to count towards an alarm.
+    Suspected,
+    /// Neither found nor unseen: the probability is from 0.3 up to the decision threshold.
+    Open,
+    /// No sign of it was found.
+    NotSeen,
+    /// The window cannot answer.
+    NoAnswer,
+}
+
+impl Standing {
+    /// Of an estimate.
+    #[must_use]
+    pub fn of(a: &Assessment) -> Self {
+        let p = a.p_stiction.or_else(|| a.explanation.map(|opinion| opinion.p()));
+        let is_sure = a.explanation.zip(p).is_none_or(|(opinion, p)| p >= opinion.cuts.alarm);
+        match a.stiction {
+            Some(true) if is_sure => Self::Sticks,
+            Some(true) => Self::Suspected,
+            Some(false) if p.is_some_and(|p| p >= OPEN_FROM) => Self::Open,
+            Some(false) => Self::NotSeen,
+            None => Self::NoAnswer,
+        }
+    }
+
+    /// Whether stiction was found.
+    #[must_use]
+    pub const fn is_found(self) -> bool {
+        matches!(self, Self::Sticks | Self::Suspected)
+    }
+}
+
+/// The unit in which sizes are told: % of travel where OP's range is known, else OP's own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scale<'a> {
+    /// OP units of 1 % of travel.
+    percent: Option<f64>,
+    op_unit: &'a str,
+}
+
+impl<'a> Scale<'a> {
+    /// Of an estimate.
+    #[must_use]
+    pub fn of(a: &'a Assessment) -> Self {
+        let width = a.op_range.map(|[low, high]| 0.01 * (high - low).abs()).filter(|width| *width > 0.0);
+        Self { percent: width, op_unit: a.op_unit.as_deref().unwrap_or("OP units") }
+    }
+
+    /// The unit.
+    #[must_use]
+    pub const fn unit(&self) -> &str {
+        if self.percent.is_some() { "% of travel" } else { self.op_unit }
+    }
+
+    /// A size in it.
+    #[must_use]
+    pub fn value(&self, op: f64) -> f64 {
+        self.percent.map_or(op, |percent| op / percent)
+    }
+
+    /// A size of this unit in OP units.
+    #[must_use]
+    pub fn op_units(&self, told: f64) -> f64 {
+        self.percent.map_or(told, |percent| told * percent)
+    }
+
+    /// A size with its unit; beside % of travel also in OP's unit, where the two differ.
+    #[must_use]
+    pub fn told(&self, op: f64) -> String {
+        let text = format!("{} {}", number(self.value(op)), self.unit());
+        match self.percent {
+            Some(percent) if percent != 1.0 => format!("{text} ({} {})", number(op), self.op_unit),
+            _ => text,
+        }
+    }
+}
+
+/// What an estimate answers. Whoever shows it takes every part from here, so that no two can contradict each other.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Answer {
+    /// Where it stands.
+    pub standing: Standing,
+    /// The verdict in a sentence, without its grade.
+    pub sentence: String,
+    /// The probability in words: `p 0.96`, `open (p 0.41)`, `not seen (p 0.12)`, `no answer`.
+    pub probability: String,
+    /// The grade, where stiction was found.
+    pub grade: Option<char>,
+    /// s with its interval and unit, where stiction was found and a model was fitted.
+    pub size: Option<String>,
+}
+
+impl Answer {
+    /// Of an estimate.
+    #[must_use]
+    pub fn of(a: &Assessment) -> Self {
+        Self {
+            standing: Standing::of(a),
+            sentence: words::claim(a),
+            probability: words::seen(a),
+            grade: grade(a),
+            size: size(a),
+        }
+    }
+}
+
+/// The grade, where stiction was found: of any other answer it says nothing. Documents of earlier builds have one everywhere.
+#[must_use]
+pub fn grade(a: &Assessment) -> Option<char> {
+    a.grade.filter(|_| Standing::of(a).is_found())
+}
+
+/// s with its interval and unit in a few words; none where no stiction was found.
+#[must_use]
+pub fn size(a: &Assessment) -> Option<String> {
+    let s = a.s.filter(|_| Standing::of(a).is_found())?;
+    let scale = Scale::of(a);
+    let [value, unit] = [number(scale.value(s)), scale.unit().to_owned()];
+    let interval = a.s_interval.map(|ends| ends.map(|end| number(scale.value(end))));
+    Some(match interval {
+        Some([least, _]) if words::at_bound(a) => format!("{value}, at least {least} {unit}"),
+        Some([low, high]) => format!("{value} ({low} to {high}) {unit}"),
+        None => format!("{value} {unit}"),
+    })
+}
+
+/// The cause that more than half of these verdicts name, newest first; those that find stiction or have no answer are left
+/// out. Where none has so many, the loop oscillates for an unknown cause, or does not oscillate. With how many say so of how many.
+#[must_use]
+pub fn settled(newest_first: impl IntoIterator<Item = Verdict>) -> Option<(Verdict, usize, usize)> {
+    /// Verdicts that are looked at.
+    const MOST: usize = 9;
+    let last: Vec<Verdict> = newest_first.into_iter().filter(|v| v.stiction() == Some(false)).take(MOST).collect();
+    let count = |named: &dyn Fn(Verdict) -> bool| last.iter().filter(|v| named(**v)).count();
+    let more_than_half = |n: usize| 2 * n > last.len();
+    let named = [Verdict::NotOscillating, Verdict::Tuning, Verdict::Disturbance, Verdict::CauseUnknown]
+        .map(|cause| (cause, count(&|v| v == cause)));
+    let oscillating = count(&|v| v != Verdict::NotOscillating);
+    let (cause, n) = match named.into_iter().find(|(_, n)| more_than_half(*n)) {
+        Some(named) => named,
+        None if 2 * oscillating >= last.len() => (Verdict::CauseUnknown, oscillating),
+        None => (Verdict::NotOscillating, last.len() - oscillating),
+    };
+    (!last.is_empty()).then_some((cause, n, last.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::record::Record;
+    use crate::core::verdict::rule::{Cuts, Opinion};
+    use crate::core::verdict::{Oscillation, Window};
+    use proptest::prelude::*;
+
+    fn estimate(stiction: Option<bool>, p: f64, range: Option<[f64; 2]>) -> Assessment {
+        let window = Window::of(&Record::uniform(1.0, vec![0.0; 40], vec![0.0; 40]));
+        let oscillation = Oscillation {
+            oscillating: true,
+            period_s: None,
+            periods: None,
+            samples_per_period: None,
+            regularity: None,
+        };
+        let verdict = match stiction {
+            Some(true) => Verdict::Stiction,
+            Some(false) => Verdict::NotOscillating,
+            None => Verdict::Inconclusive,
+        };
+        Assessment {
+            verdict,
+            stiction,
+            p_stiction: Some(p),
+            grade: Some('B'),
+            s: Some(1.6),
+            s_interval: Some([1.2, 2.0]),
+            s_over_span: Some(0.4),
+            op_range: range,
+            op_unit: Some("mA".to_owned()),
+            explanation: Some(Opinion { base: 0.0, logit: 0.0, cuts: Cuts { called: 0.5, alarm: 0.7 } }),
+            ..Assessment::empty(window, oscillation)
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+        /// The parts of an answer agree: one of them never says what another denies.
+        #[test]
+        fn no_part_of_an_answer_contradicts_another(
+            called in prop::option::of(any::<bool>()),
+            p in 0.0..1.0,
+            range in prop::option::of(Just([4.0, 20.0])),
+        ) {
+            // A record is called sticking from the threshold on.
+            let a = estimate(called.map(|_| p >= 0.5), p, range);
+            let answer = Answer::of(&a);
+            let found = answer.standing.is_found();
+            prop_assert_eq!(answer.grade.is_some(), found);
+            prop_assert_eq!(answer.size.is_some(), found);
+            let all = format!("{} {} {}", words::headline(&a), words::sureness(&a), answer.probability);
+            prop_assert_eq!(all.contains("valve sticks and slips"), found, "{}", &all);
+            prop_assert_eq!(all.contains("not seen"), answer.standing == Standing::NotSeen, "{}", &all);
+            prop_assert_eq!(all.contains("open (p"), answer.standing == Standing::Open, "{}", &all);
+            prop_assert_eq!(answer.standing == Standing::Open, a.stiction == Some(false) && p >= OPEN_FROM);
+            prop_assert!(!all.contains("grade") || found, "{}", &all);
+            let unit = if range.is_some() { "% of travel" } else { "mA" };
+            for text in answer.size.iter().chain(words::size(&a).iter()) {
+                prop_assert!(text.contains(unit), "{}", text);
+            }
+        }
+    }
+
+    #[test]
+    fn sizes_have_one_unit_and_a_second_only_where_it_differs() {
+        let size_in = |range| size(&estimate(Some(true), 0.9, range)).unwrap();
+        assert_eq!(size_in(None), "1.6 (1.2 to 2) mA");
+        assert_eq!(size_in(Some([4.0, 20.0])), "10 (7.5 to 12.5) % of travel");
+        let mut a = estimate(Some(true), 0.9, Some([4.0, 20.0]));
+        assert_eq!(Scale::of(&a).told(1.6), "10 % of travel (1.6 mA)");
+        a.op_range = Some([0.0, 100.0]);
+        assert_eq!(Scale::of(&a).told(1.6), "1.6 % of travel");
+        (a.s_over_span, a.s_interval) = (Some(1.0), Some([1.1, 1.6]));
+        assert_eq!(size(&a).unwrap(), "1.6, at least 1.1 % of travel");
+    }
+
+    #[test]
+    fn a_cause_is_shown_that_more_than_half_of_the_windows_name() {
+        use Verdict::{CauseUnknown, Disturbance, Inconclusive, NotOscillating, Stiction, Tuning};
+        assert_eq!(settled([Inconclusive, Stiction]), None);
+        assert_eq!(settled([Disturbance, Stiction, Inconclusive, Tuning, Tuning]), Some((Tuning, 2, 3)));
+        assert_eq!(settled([Disturbance, Tuning, CauseUnknown, Tuning, Disturbance]), Some((CauseUnknown, 5, 5)));
+        assert_eq!(settled([NotOscillating, NotOscillating, Tuning]), Some((NotOscillating, 2, 3)));
+        assert_eq!(settled([Tuning, NotOscillating]), Some((CauseUnknown, 1, 2)));
+        assert_eq!(settled(std::iter::repeat_n(Tuning, 4).chain([Disturbance; 30])), Some((Disturbance, 5, 9)));
+    }
+}

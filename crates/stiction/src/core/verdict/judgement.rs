@@ -1,0 +1,210 @@
+//! From evidence to a verdict and a grade: what the classifier says, and why that is sometimes not reported.
+
+use super::cause;
+use super::document::{Assessment, CountedBy, Gate, Implausible, Oscillation, Verdict};
+use super::evidence::Answer;
+use super::features::Features;
+use super::params::AssessParams;
+use super::plausible::implausible;
+use super::rule::Rule;
+use crate::core::ident::region;
+use crate::core::record::Record;
+use crate::core::signal::stats;
+
+/// Reasons for no answer beside the gates and what is implausible in a record.
+const NOT_FITTED: &str = "not_fitted";
+const IMPLAUSIBLE_MODEL: &str = "implausible_model";
+const OP_IS_HELD: &str = "op_held";
+/// Share of OP samples equal to the one before from which its store is asked about, the samples a period that make that a
+/// matter of the store, and the moves a period below which a cycle of the valve's signal is not seen.
+const OP_HELD: f64 = 0.8;
+const DENSE: f64 = 50.0;
+const FEW_MOVES: f64 = 12.0;
+
+/// What is said of a record.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Judgement {
+    pub verdict: Verdict,
+    pub contributing: Vec<Verdict>,
+    /// Why the record has no answer.
+    pub reason: Option<&'static str>,
+    /// Why the model is not believed; empty where it is.
+    pub implausible: Vec<Implausible>,
+    /// Reversals of the stem, and the rule by which the record holds enough evidence.
+    pub reversals: usize,
+    pub counted_by: Option<CountedBy>,
+    /// The classifier finds no stiction, whether or not that is said: bands are bounded, not measured.
+    pub not_found: bool,
+}
+
+impl Judgement {
+    /// The judgement on a record of which `whole` holds oscillation and checks.
+    pub(super) fn of(answer: &Answer<'_>, whole: &Assessment, params: &AssessParams) -> Self {
+        let Answer { features, opinion, sized, .. } = answer;
+        let implausible = implausible(sized.record, &whole.oscillation, sized.process().as_ref(), params.kind);
+        let (called, contributing) = call(answer);
+        let of_the_stem = sized.estimate.as_ref().filter(|_| opinion.sticks()).map(|e| e.reversals);
+        let reversals = of_the_stem.unwrap_or_else(|| reversals_of_op(sized.record));
+        let counted_by = counted_by(&whole.oscillation, reversals, params);
+        let objection = match called.stiction() {
+            None => Some(NOT_FITTED),
+            Some(true) => unsupported(&implausible, counted_by, features),
+            Some(false) => {
+                // Where no cycle shows, as many as a verdict wants are taken for granted.
+                let periods = whole.oscillation.periods.unwrap_or(params.min_periods);
+                is_op_held(sized.record, periods).then_some(OP_IS_HELD).or_else(|| too_thin(counted_by))
+            }
+        };
+        let (verdict, contributing) = match called {
+            _ if objection.is_some() => (Verdict::Inconclusive, Vec::new()),
+            // Without bands a dead band is not told from stick and slip.
+            Verdict::Deadband if !implausible.is_empty() => (Verdict::Stiction, contributing),
+            _ => (called, contributing),
+        };
+        let not_found = called.stiction() == Some(false);
+        Self { verdict, contributing, reason: objection, implausible, reversals, counted_by, not_found }
+    }
+
+    /// Probability of the answer that is given; `None` where none is.
+    pub(super) fn confidence(&self, p_stiction: f64) -> Option<f64> {
+        self.verdict.stiction().map(|_| p_stiction.max(1.0 - p_stiction))
+    }
+}
+
+/// The verdict by the classifier alone, and contributing causes. Without a fit, a valve that appears to stick stays
+/// inconclusive.
+fn call(answer: &Answer<'_>) -> (Verdict, Vec<Verdict>) {
+    let Answer { opinion, sized, controller, .. } = answer;
+    let (record, estimate, found) = (sized.record, sized.estimate.as_ref(), sized.first.oscillation());
+    let ringing = cause::ringing(record, found.as_ref());
+    match (opinion.sticks(), estimate) {
+        (true, Some(e)) => {
+            let verdict = match region::region(e.s, e.j, e.span) {
+                region::Region::Deadband => Verdict::Deadband,
+                _ => Verdict::Stiction,
+            };
+            (verdict, cause::beside_sticking(e, controller.as_ref(), record, ringing.as_ref()))
+        }
+        (true, None) => (Verdict::Inconclusive, Vec::new()),
+        (false, _) => {
+            let damping = cause::moved_damping(estimate, controller.as_ref(), record);
+            cause::cause(found.as_ref(), ringing.as_ref(), damping)
+        }
+    }
+}
+
+/// The rule by which a record with so many reversals of the stem holds enough evidence, for a verdict and for an alarm.
+#[must_use]
+pub(super) fn counted_by(found: &Oscillation, reversals: usize, params: &AssessParams) -> Option<CountedBy> {
+    let reaches = |value: Option<f64>, least: f64| value.is_some_and(|v| v >= least);
+    let periods = found.oscillating
+        && reaches(found.periods, params.min_periods)
+        && reaches(found.samples_per_period, params.min_samples_per_period);
+    match periods {
+        true => Some(CountedBy::Periods),
+        false => (reversals >= params.min_reversals).then_some(CountedBy::Reversals),
+    }
+}
+
+/// Reversals of a stem that follows OP.
+#[must_use]
+pub(super) fn reversals_of_op(record: &Record) -> usize {
+    stats::turns(&record.op_path, 0.0)
+}
+
+/// Why nothing is said of a record without enough evidence.
+fn too_thin(counted_by: Option<CountedBy>) -> Option<&'static str> {
+    counted_by.is_none().then_some(Gate::TooFewReversals.name())
+}
+
+/// Why sticking is not said: the record shows no cycle of a valve, or not enough of it, or its model is that of no plant and
+/// the classifier finds no stiction without the model's say.
+fn unsupported(
+    implausible: &[Implausible],
+    counted_by: Option<CountedBy>,
+    features: &Features,
+) -> Option<&'static str> {
+    let of_the_record = implausible.iter().find(|i| i.is_of_the_record()).map(|i| i.name());
+    let stands = || implausible.is_empty() || Rule::shipped().opinion(&features.without_fit()).sticks();
+    of_the_record.or_else(|| too_thin(counted_by)).or_else(|| (!stands()).then_some(IMPLAUSIBLE_MODEL))
+}
+
+/// Whether the store held OP through most of a cycle, so that what the valve was sent between is not known.
+fn is_op_held(record: &Record, periods: f64) -> bool {
+    let raw = record.raw_samples as f64;
+    let repeats = f64::from(record.facts.op_repeats);
+    repeats > OP_HELD * raw && raw >= DENSE * periods && raw - repeats < FEW_MOVES * periods
+}
+
+/// Grade of a finding: A without checks, with a confidence of at least 0.95 and s known to 15 %; B with at least 0.85 and s
+/// known to 30 %; C for any other, none where the valve is not said to stick. `width` is that of the interval of s relative to s.
+#[must_use]
+pub(super) fn grade(sticks: bool, confidence: Option<f64>, gated: bool, width: Option<f64>) -> Option<char> {
+    let within = |least: f64, widest: f64| confidence.is_some_and(|c| c >= least) && width.is_some_and(|w| w <= widest);
+    sticks.then(|| match gated {
+        false if within(0.95, 0.15) => 'A',
+        _ if within(0.85, 0.30) => 'B',
+        _ => 'C',
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_counts_by_its_periods_or_by_the_reversals_of_its_stem() {
+        let params = AssessParams { min_reversals: 6, ..AssessParams::default() };
+        let found = |oscillating, periods, density| Oscillation {
+            oscillating,
+            period_s: Some(60.0),
+            periods: Some(periods),
+            samples_per_period: Some(density),
+            regularity: None,
+        };
+        let cycles = found(true, 5.0, 50.0);
+        assert_eq!(counted_by(&cycles, 0, &params), Some(CountedBy::Periods));
+        for short in [found(true, 4.9, 50.0), found(true, 5.0, 49.0), found(false, 5.0, 50.0)] {
+            assert_eq!(counted_by(&short, 6, &params), Some(CountedBy::Reversals));
+            assert_eq!(counted_by(&short, 5, &params), None);
+        }
+    }
+
+    #[test]
+    fn sticking_stands_without_its_model_only_where_indicators_carry_it() {
+        let why = |implausible: &[Implausible], features| unsupported(implausible, Some(CountedBy::Periods), features);
+        let jumps = Features::of_scores(&[("jumps", 0.6), ("confirmed", 0.9)]);
+        assert_eq!(why(&[Implausible::DeadTime], &jumps), None);
+        let fit = Features::of_scores(&[("jumps", 0.0), ("confirmed", 0.9)]);
+        assert_eq!(why(&[Implausible::DeadTime], &fit), Some(IMPLAUSIBLE_MODEL));
+        assert_eq!(why(&[], &fit), None);
+    }
+
+    #[test]
+    fn a_cycle_of_a_day_is_the_reason_whatever_else_is_missing() {
+        let jumps = Features::of_scores(&[("jumps", 0.6)]);
+        for counted_by in [None, Some(CountedBy::Reversals)] {
+            assert_eq!(unsupported(&[Implausible::DailyCycle], counted_by, &jumps), Some("daily_cycle"));
+        }
+        assert_eq!(unsupported(&[], None, &jumps), Some("too_few_reversals"));
+    }
+
+    #[test]
+    fn op_that_was_not_stored_allows_no_answer() {
+        let wave = || (0..500).map(|k| libm::sin(f64::from(k) * 0.1)).collect::<Vec<_>>();
+        assert!(!is_op_held(&Record::uniform(1.0, wave(), wave()), 5.0));
+        let steps = (0..500).map(|k| f64::from(k / 25 % 3)).collect();
+        assert!(is_op_held(&Record::uniform(1.0, steps, wave()), 5.0));
+    }
+
+    #[test]
+    fn grades_ask_for_confidence_and_a_known_size() {
+        let sticking = |confidence, gated, width| grade(true, Some(confidence), gated, width);
+        assert_eq!(sticking(0.97, false, Some(0.1)), Some('A'));
+        assert_eq!(sticking(0.97, true, Some(0.1)), Some('B'));
+        assert_eq!(sticking(0.9, false, Some(0.2)), Some('B'));
+        assert_eq!(sticking(0.99, false, None), Some('C'));
+        assert_eq!(sticking(0.6, false, Some(0.01)), Some('C'));
+        assert_eq!(grade(false, Some(0.97), false, None), None);
+    }
+}

@@ -1,0 +1,37 @@
+//! Judgement on one window: validity checks, fit, verdict, grade.
+
+pub mod action;
+pub mod answer;
+mod assess;
+pub mod bump_test;
+mod cause;
+mod detectable;
+mod document;
+mod evidence;
+mod excursion;
+pub mod features;
+mod gates;
+mod group;
+mod judgement;
+mod params;
+pub(crate) mod plausible;
+mod process;
+pub mod rule;
+mod screen;
+pub mod swapped;
+pub mod tally;
+pub mod texts;
+mod valve_position;
+pub mod words;
+
+pub use crate::core::detect::Indicator;
+pub use crate::core::ident::{DelayChoice, ModelChoice, ValveChoice};
+pub use assess::{assess, assess_in_windows, figures, is_screened_out};
+pub use document::{
+    Assessment, Controller, CountedBy, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement,
+    Oscillation, Process, Search, Verdict, Window, reasons,
+};
+pub use gates::is_fraction;
+pub use params::AssessParams;
+pub use screen::{P_CALM, SCREENED};
+pub use valve_position::ValvePosition;

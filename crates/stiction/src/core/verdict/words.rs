@@ -1,0 +1,550 @@
+//! An estimate in words that a planner can act on.
+
+use crate::core::ident::region::Size;
+use crate::core::ident::width::agree;
+use crate::core::people;
+use crate::core::units::{number, probability};
+use crate::core::verdict::action::{self, Action};
+use crate::core::verdict::answer::{self, Scale, Standing};
+use crate::core::verdict::assess::WHOLE_SWING;
+use crate::core::verdict::features::OF_THE_FIT;
+pub use crate::core::verdict::texts::capital;
+use crate::core::verdict::{Assessment, Gate, Implausible, SCREENED, Verdict, texts};
+
+/// The verdict in a sentence.
+#[must_use]
+pub const fn verdict(v: Verdict) -> &'static str {
+    texts::of(v).sentence
+}
+
+/// The verdict of a record in a sentence: only suspected where the probability would not raise an alarm, open where slip and
+/// play look alike, with the detection limit where nothing was found, with its reservation below grade A.
+#[must_use]
+pub fn headline(a: &Assessment) -> String {
+    let mut text = claim(a);
+    if let (Some(why), Some(grade)) = (reservation(a), answer::grade(a)) {
+        text = format!("{text} (grade {grade}: {why})");
+    }
+    text
+}
+
+/// The headline without its grade.
+#[must_use]
+pub fn claim(a: &Assessment) -> String {
+    match Standing::of(a) {
+        standing @ (Standing::Sticks | Standing::Suspected) => {
+            let sentence = if a.j_identifiable == Some(false) { texts::OPEN } else { verdict(a.verdict) };
+            let suspected = standing == Standing::Suspected;
+            format!("{}{sentence}", if suspected { "suspected, below the alarm threshold: " } else { "" })
+        }
+        Standing::Open | Standing::NotSeen => beside_cause(a, a.verdict),
+        Standing::NoAnswer => match a.reason {
+            Some(why) => format!("{}: {}", verdict(a.verdict), reason(why)),
+            None => verdict(a.verdict).to_owned(),
+        },
+    }
+}
+
+/// The sentence of an estimate that finds no stiction, under the cause that its loop shows.
+#[must_use]
+pub fn beside_cause(a: &Assessment, cause: Verdict) -> String {
+    let rest = if Standing::of(a) == Standing::Open { texts::UNDECIDED.to_owned() } else { not_seen(a) };
+    format!("{}; {rest}", verdict(cause))
+}
+
+/// What was not found, with the detection limit.
+#[must_use]
+fn not_seen(a: &Assessment) -> String {
+    match a.s_detectable {
+        Some(least) => format!("no sign of stiction above {} found", Scale::of(a).told(least)),
+        None => "no sign of stiction found, detection limit not determinable".to_owned(),
+    }
+}
+
+/// What keeps a finding below grade A, in a few words; none for grade A, and where no stiction was found.
+#[must_use]
+pub fn reservation(a: &Assessment) -> Option<String> {
+    if answer::grade(a)? == 'A' {
+        return None;
+    }
+    let mut why: Vec<String> = a.gates.iter().map(|g| g.name().replace('_', " ")).collect();
+    if let (Some(c), Some(p)) = (a.confidence, a.p_stiction)
+        && c < 0.95
+    {
+        why.push(format!("p {}", probability(p)));
+    }
+    if thirds_disagree(a) {
+        let said: Vec<String> = a.s_thirds.iter().map(|s| number(*s)).collect();
+        why.push(format!("parts of the window give other sizes: s {}", said.join(", ")));
+    } else if at_bound(a) {
+        why.push("s reaches the largest value that OP's span allows".to_owned());
+    } else {
+        match a.s_interval.zip(a.s) {
+            Some(([low, high], s)) if (high - low) / s > 0.15 => {
+                let scale = Scale::of(a);
+                let [low, high] = [low, high].map(|end| number(scale.value(end)));
+                why.push(format!("90 % interval of s {low} to {high} {}", scale.unit()));
+            }
+            None => why.push("no interval of s".to_owned()),
+            _ => {}
+        }
+    }
+    Some(why.join("; "))
+}
+
+/// Whether the thirds of the window lie farther apart than the interval of s is wide.
+#[must_use]
+pub fn thirds_disagree(a: &Assessment) -> bool {
+    a.s_interval.is_some_and(|interval| !agree(&a.s_thirds, interval))
+}
+
+/// Whether the estimate or its interval ends where OP's span does: then s was not measured upwards.
+#[must_use]
+pub fn at_bound(a: &Assessment) -> bool {
+    let Some((s, share)) = a.s.zip(a.s_over_span).filter(|(_, share)| *share > 0.0) else { return false };
+    let highest = a.s_interval.map_or(s, |[_, high]| high.max(s));
+    highest >= WHOLE_SWING * s / share
+}
+
+/// A further cause beside the verdict.
+#[must_use]
+pub const fn beside(v: Verdict) -> &'static str {
+    match v {
+        Verdict::Tuning => "the controller's tuning contributes to the oscillation",
+        Verdict::Disturbance => "an external disturbance contributes to the oscillation",
+        other => verdict(other),
+    }
+}
+
+/// What to do about it.
+#[must_use]
+pub fn advice(a: &Assessment) -> String {
+    let mut text = action::what_to_do(a);
+    for v in &a.contributing {
+        text = format!("{text} Also, {}.", beside(*v));
+    }
+    text
+}
+
+/// The bump test of a valve that sticks, a step an item; empty where none is proposed, which [`advice`] says.
+#[must_use]
+pub fn bump_test(a: &Assessment) -> Vec<String> {
+    Action::of(a).map_or_else(Vec::new, |action| action.steps(op_unit(a)))
+}
+
+/// The bump test as one text, a numbered step a line; `None` where none is proposed.
+#[must_use]
+pub fn proposal(a: &Assessment) -> Option<String> {
+    let steps = bump_test(a);
+    let numbered = steps.iter().enumerate().map(|(k, step)| format!("{}. {step}", k + 1));
+    (!steps.is_empty()).then(|| numbered.collect::<Vec<_>>().join("\n"))
+}
+
+/// The probability as it is shown: `not seen` or `open` below the decision threshold, with the figure behind it.
+#[must_use]
+pub fn seen(a: &Assessment) -> String {
+    let Some(p) = a.p_stiction.map(probability) else { return "no answer".to_owned() };
+    match Standing::of(a) {
+        Standing::Sticks | Standing::Suspected => format!("p {p}"),
+        Standing::Open => format!("open (p {p})"),
+        Standing::NotSeen => format!("not seen (p {p})"),
+        Standing::NoAnswer => format!("no answer (p {p})"),
+    }
+}
+
+/// The unit of OP.
+#[must_use]
+pub fn op_unit(a: &Assessment) -> &str {
+    a.op_unit.as_deref().unwrap_or("OP units")
+}
+
+/// How sure the verdict is, in a sentence.
+#[must_use]
+pub fn sureness(a: &Assessment) -> String {
+    let why = || a.reason.map_or_else(|| "a validity check fails".to_owned(), reason);
+    let Some(p) = a.p_stiction else { return format!("No verdict: {}.", why()) };
+    let cuts = a.explanation.map(|e| e.cuts);
+    let below = cuts.map_or_else(String::new, |c| format!(", below the decision threshold of {}", number(c.called)));
+    let said = probability(p);
+    match Standing::of(a) {
+        Standing::NoAnswer if a.reason == Some("masked") => format!("No verdict: {}. With its group, p {said}.", why()),
+        Standing::NoAnswer => format!("No verdict: {}. The indicators alone would give p {said}.", why()),
+        Standing::NotSeen => format!("Stiction not seen (p {said}{below})."),
+        Standing::Open => format!("Whether the valve sticks is open (p {said}{below}, but too high to rule it out)."),
+        Standing::Sticks | Standing::Suspected => {
+            let odds = match p {
+                p if p >= 0.99 => "almost certain",
+                p if p >= 0.9 => "very likely",
+                p if p >= 0.7 => "likely",
+                _ => "more likely than not",
+            };
+            format!("Stiction {odds} (p {said}); {}.", grade(a))
+        }
+    }
+}
+
+fn grade(a: &Assessment) -> String {
+    answer::grade(a).map_or_else(|| "not graded".to_owned(), |grade| format!("grade {}", graded(a, grade)))
+}
+
+/// A grade, and what keeps it below A.
+#[must_use]
+pub fn graded(a: &Assessment, grade: char) -> String {
+    match reservation(a) {
+        None => format!("{grade}: no validity check limits it, and the interval of s is narrow"),
+        Some(why) => format!("{grade} ({why})"),
+    }
+}
+
+/// A reason for no answer, or for nothing beside it, in words; a gate's are the gate's.
+#[must_use]
+pub fn reason(name: &str) -> String {
+    let known = match name {
+        "stuck_signal" => {
+            "PV does not move while OP travels (a failed transmitter, a closed block valve, or a valve that does not move at \
+             all)"
+        }
+        "implausible_model" => "no plausible model explains this record",
+        "daily_cycle" => "the cycle takes a day, as weather, shifts or load make it; it shows nothing of the valve",
+        "trend" => "PV is little more than a straight line; there is no cycle to judge the valve by",
+        "op_held" => "OP is stored too seldom within a cycle to show what the valve received",
+        "not_fitted" => "no model could be fitted",
+        "masked" => "the loop follows an oscillation that it shares with others, which hides the state of its valve",
+        "screened" => "the loop is calm, so only the screening was computed",
+        _ => "",
+    };
+    if !known.is_empty() {
+        return known.to_owned();
+    }
+    Gate::ALL.into_iter().find(|g| g.name() == name).map_or_else(|| name.replace('_', " "), |g| gate(g).to_owned())
+}
+
+/// What is implausible in a model or its record.
+#[must_use]
+pub const fn implausible(what: Implausible) -> &'static str {
+    match what {
+        Implausible::DailyCycle => "the cycle takes a day",
+        Implausible::Trend => "PV is little more than a straight line",
+        Implausible::DeadTime => "the dead time is longer than a loop of this kind, or its period, allows",
+        Implausible::TimeConstant => "a time constant is longer than a loop of this kind has, or than the window",
+        Implausible::Gain => "the gain would move PV far beyond its range in the record",
+        Implausible::Integrating => "a loop of this kind does not integrate",
+        Implausible::Fit => "the model follows PV hardly better than PV's mean does",
+    }
+}
+
+/// Why no size and no model are given, where the model is implausible.
+#[must_use]
+pub fn disbelief(a: &Assessment) -> Option<String> {
+    let said: Vec<&str> = a.implausible.iter().map(|what| implausible(*what)).collect();
+    (!said.is_empty()).then(|| format!("no size and no process model are given: {}", said.join("; ")))
+}
+
+/// How large the stiction is against the valve's travel, where OP's range is known. Without it at most moderate: a share of
+/// OP's swing says how quiet the loop is as much as how large the band is.
+#[must_use]
+pub fn size_class(a: &Assessment) -> Option<Size> {
+    a.severity_by_range.or_else(|| a.strength_by_span.map(|size| size.min(Size::Moderate)))
+}
+
+/// The size, in % of travel where OP's range is known, else in OP units; with a lower bound where the estimate reaches its
+/// own bound; none where no stiction was found.
+#[must_use]
+pub fn size(a: &Assessment) -> Option<String> {
+    let s = a.s.filter(|_| a.stiction != Some(false))?;
+    let scale = Scale::of(a);
+    let mut text = if at_bound(a) {
+        let least = a.s_interval.map_or(s, |[low, _]| low);
+        format!(
+            "{}, at least {}: the estimate or its interval reaches OP's span, the largest possible value",
+            scale.told(s),
+            number(scale.value(least))
+        )
+    } else {
+        let interval = a.s_interval.map(|ends| {
+            let [low, high] = ends.map(|end| number(scale.value(end)));
+            format!(", 90 % interval {low} to {high}{}", if a.op_range.is_some() { " %" } else { "" })
+        });
+        format!("{}{}", scale.told(s), interval.unwrap_or_default())
+    };
+    // Where slip and play look alike fs and fd are not known apart.
+    if let (Some(fs), Some(fd), Some(true)) = (a.fs, a.fd, a.j_identifiable) {
+        let [fs, fd] = [fs, fd].map(|band| number(scale.value(band)));
+        text = format!("{text}; static band {fs}, kinetic band {fd} {}", scale.unit());
+    }
+    match (a.severity_by_range, a.s_over_span) {
+        (Some(class), _) if class != Size::None => text = format!("{text}; {}, relative to travel", class.name()),
+        (None, Some(share)) => text = format!("{text}; {} % of OP's swing", number((100.0 * share).round())),
+        _ => {}
+    }
+    Some(text)
+}
+
+/// What is said of an indicator without words of its own.
+const UNNAMED: &str = "a sign in the record";
+
+/// What an indicator measures.
+#[must_use]
+pub fn looks_at(name: &str) -> &'static str {
+    match name {
+        "likelihood" => "how much better a model with friction explains the record than one without",
+        "confirmed" => {
+            "whether the friction model is well supported (the stem reverses often enough, and OP is not a scaled copy of PV)"
+        }
+        "horch" => "whether OP and PV are out of phase by a quarter period, as behind a sticking valve",
+        "jumps" => "whether PV moves in jumps while OP moves steadily",
+        "curve_fit" => "whether half cycles are triangles rather than sinusoids",
+        "travel" => "how far OP travels while PV rests",
+        "one_step_gain" => "how much better a sticking stem predicts PV's next value than OP does",
+        "periodicity" => "how much of PV's movement keeps a period of its own, as an external load does",
+        _ => UNNAMED,
+    }
+}
+
+/// Stiction index from which a model with friction explains PV clearly better than one without.
+const EXPLAINS: f64 = 0.5;
+
+/// What an indicator found, as a fact: where it points to sticking, and where it points away. `index` is the stiction index.
+#[must_use]
+fn fact(name: &str, towards: bool, index: f64) -> &'static str {
+    let [yes, no] = match name {
+        "likelihood" => [
+            "a model with friction explains PV better than one without",
+            if index >= EXPLAINS {
+                "the model with friction leaves more than noise unexplained"
+            } else {
+                "a model with friction explains PV hardly better than one without"
+            },
+        ],
+        "confirmed" => [
+            "the friction model is well supported: the stem reverses often enough, and OP is not a scaled copy of PV",
+            "the friction model may fit by accident: the stem reverses too seldom, or OP is a scaled copy of PV",
+        ],
+        "horch" => [
+            "OP and PV are out of phase by a quarter period, as behind a sticking valve",
+            "OP and PV are not out of phase by a quarter period",
+        ],
+        "jumps" => [
+            "PV moves in jumps while OP moves steadily",
+            "PV does not jump while OP moves steadily (a dead band alone makes no jumps)",
+        ],
+        "curve_fit" => {
+            ["half cycles are triangles rather than sinusoids", "half cycles are sinusoids rather than triangles"]
+        }
+        "travel" => ["OP travels far while PV rests", "OP hardly travels while PV rests"],
+        "one_step_gain" => [
+            "a sticking stem predicts PV's next value better than OP does",
+            "a sticking stem predicts PV's next value hardly better than OP does",
+        ],
+        "periodicity" => [
+            "PV's movement does not keep one steady period, as an external load often does",
+            "PV's movement keeps one steady period, as an external load often does and a valve's own cycle can",
+        ],
+        _ => [UNNAMED, UNNAMED],
+    };
+    if towards { yes } else { no }
+}
+
+/// The evidence as facts, with its log-odds: first what speaks for the verdict, then what speaks against it, strongest
+/// first. Facts of a fit are left out where no fit is given.
+#[must_use]
+pub fn evidence(a: &Assessment) -> Vec<(String, f64)> {
+    let given = |name: &str| a.process.is_some() || !OF_THE_FIT.contains(&name);
+    let mut said: Vec<_> = a.indicators.iter().filter(|w| w.contribution.abs() >= 0.05 && given(w.name)).collect();
+    let for_verdict = |c: f64| Standing::of(a).is_found() == (c > 0.0);
+    said.sort_by(|x, y| {
+        let strength = y.contribution.abs().total_cmp(&x.contribution.abs());
+        for_verdict(y.contribution).cmp(&for_verdict(x.contribution)).then(strength)
+    });
+    let words = |name: &str, c: f64| {
+        let points = if c > 0.0 { "points to sticking" } else { "points away from sticking" };
+        capital(&format!("{}: {points}", fact(name, c > 0.0, a.stiction_index.unwrap_or(0.0))))
+    };
+    said.iter().map(|w| (words(w.name, w.contribution), w.contribution)).collect()
+}
+
+/// A gate in words.
+#[must_use]
+pub const fn gate(g: Gate) -> &'static str {
+    match g {
+        Gate::Manual => "the controller was in manual",
+        Gate::BadQuality => "too many values are missing or bad",
+        Gate::FrozenPv => "PV never moves",
+        Gate::FrozenOp => "OP never moves",
+        Gate::NoResponse => "PV does not answer OP: OP runs on while PV stays away from its set point",
+        Gate::OpScale => "OP lies between 0 and 1 while its range is far wider: it seems to be a fraction of its range",
+        Gate::Swapped => "OP and PV seem to be swapped: the one named OP behaves as a PV does, and the other as an OP",
+        Gate::Saturated => "OP is at a limit",
+        Gate::TooFewSamples => "there are too few usable samples, or fewer than two periods",
+        Gate::RateTooLow => "a period has fewer than 10 samples: the loop cannot be judged at this rate",
+        Gate::Skipped => "the fit was skipped: the machine was too busy, or the daemon stopped",
+        Gate::TooFewPeriods => "there are few periods, so intervals are wide",
+        Gate::TooCoarse => "sampling is too coarse for reliable bands",
+        Gate::TooFewReversals => "neither the periods nor the reversals of the stem are enough for a verdict",
+        Gate::SetpointSteps => "the set point moved in steps, which disturbs the oscillation test",
+        Gate::Quantised => "the resolution of OP or PV is coarse",
+        Gate::Compressed => "the historian compressed the data: corners of PV may be its own",
+        Gate::Irregular => "the sampling time is not constant",
+        Gate::Excursion => "a single event, such as a trip or a start-up, was left out of the fit",
+        Gate::StepOrUpset => {
+            "PV or OP leaves its usual values for a time; without SP a step cannot be told from an upset, so nothing was left \
+             out"
+        }
+    }
+}
+
+/// What this record leaves open.
+#[must_use]
+pub fn unknowns(a: &Assessment) -> Vec<String> {
+    let mut out: Vec<String> = a.gates.iter().map(|g| format!("{} ({})", gate(*g), g.name())).collect();
+    let screened = a.reason == Some(SCREENED);
+    if screened {
+        out.push(
+            "everything beyond the screening: the loop is calm, so nothing more was computed (screened)".to_owned(),
+        );
+    } else if let Some(why) = disbelief(a) {
+        out.push(why);
+    } else if a.s.is_none() {
+        out.push("the size: no model was fitted".to_owned());
+    } else if a.j_identifiable == Some(false) {
+        out.push("the slip jump j: what it may be reaches from one kind of sticking to another".to_owned());
+    }
+    if a.gates.contains(&Gate::TooCoarse)
+        && let Some(period) = a.oscillation.period_s
+    {
+        out.push(format!("a reliable band: it needs a sample every {} or faster", people::at_most(period / 50.0)));
+    }
+    if a.s.is_some() && a.op_range.is_none() {
+        out.push(
+            "the size in % of travel: OP's range is not known (--op-range, or op_range in the configuration)".into(),
+        );
+    }
+    match a.s_detectable {
+        Some(least) => out.push(format!("bands below the detection limit, s = {}", Scale::of(a).told(least))),
+        None if a.stiction == Some(false) && !screened => {
+            out.push("the detection limit: it is not determinable from this record".to_owned());
+        }
+        None => {}
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::detect::Indicator;
+    use crate::core::record::Record;
+    use crate::core::verdict::rule::{Cuts, Opinion};
+    use crate::core::verdict::{Oscillation, Window};
+
+    fn empty() -> Assessment {
+        let window = Window::of(&Record::uniform(1.0, vec![0.0; 40], vec![0.0; 40]));
+        let oscillation = Oscillation {
+            oscillating: false,
+            period_s: Some(100.0),
+            periods: None,
+            samples_per_period: None,
+            regularity: None,
+        };
+        Assessment::empty(window, oscillation)
+    }
+
+    fn sticking() -> Assessment {
+        Assessment {
+            verdict: Verdict::Deadband,
+            stiction: Some(true),
+            p_stiction: Some(0.97),
+            confidence: Some(0.97),
+            grade: Some('A'),
+            s: Some(2.0),
+            s_interval: Some([1.9, 2.1]),
+            s_over_span: Some(0.5),
+            explanation: Some(Opinion { base: 0.0, logit: 3.0, cuts: Cuts { called: 0.6, alarm: 0.7 } }),
+            ..empty()
+        }
+    }
+
+    #[test]
+    fn every_indicator_has_words() {
+        for name in crate::core::verdict::features::names() {
+            let facts = [(true, 0.0), (false, 0.0), (false, 0.9)].map(|(towards, index)| fact(name, towards, index));
+            assert!(looks_at(name) != UNNAMED && facts[0] != facts[1] && facts[0] != facts[2], "{name}");
+        }
+    }
+
+    #[test]
+    fn a_result_below_the_threshold_is_not_seen_with_its_limit_never_healthy() {
+        let mut a = Assessment { verdict: Verdict::Tuning, stiction: Some(false), grade: Some('C'), ..sticking() };
+        a.p_stiction = Some(0.17);
+        a.s_detectable = Some(1.25);
+        let text = format!("{} {} {} {}", headline(&a), sureness(&a), advice(&a), seen(&a));
+        for part in ["no sign of stiction above 1.25 OP units", "not seen (p 0.17", "A band below 1.25"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        a.s_detectable = None;
+        assert!(headline(&a).contains("detection limit not determinable"));
+        assert_eq!(size(&a), None);
+        assert!(advice(&a).contains("rules out no band"));
+        a.p_stiction = Some(0.44);
+        let text = format!("{} {} {} {}", headline(&a), sureness(&a), advice(&a), seen(&a));
+        assert!(!text.contains("no sign") && !text.contains("not seen") && text.contains("open (p 0.44"), "{text}");
+    }
+
+    #[test]
+    fn an_estimate_at_its_bound_is_a_lower_bound() {
+        let mut a = sticking();
+        assert!(!at_bound(&a) && reservation(&a).is_none() && !headline(&a).contains("grade"));
+        (a.s_over_span, a.s_interval, a.grade) = (Some(1.0), Some([1.3, 2.0]), Some('C'));
+        assert!(size(&a).unwrap().starts_with("2 OP units, at least 1.3: "), "{:?}", size(&a));
+        assert!(headline(&a).contains("(grade C: s reaches the largest"), "{}", headline(&a));
+        (a.s_over_span, a.s_interval) = (Some(0.5), Some([1.3, 4.0]));
+        a.op_range = Some([0.0, 200.0]);
+        assert!(size(&a).unwrap().starts_with("1 % of travel (2 OP units), at least 0.65: "), "{:?}", size(&a));
+    }
+
+    #[test]
+    fn a_window_whose_parts_disagree_says_so() {
+        let a = Assessment { grade: Some('B'), s_thirds: vec![1.5, 2.0, 2.2], ..sticking() };
+        assert!(reservation(&a).unwrap().contains("parts of the window give other sizes: s 1.5, 2, 2.2"));
+    }
+
+    #[test]
+    fn where_the_jump_is_open_both_repairs_are_named() {
+        let mut a = Assessment { j_identifiable: Some(false), ..sticking() };
+        assert!(headline(&a).starts_with("the valve sticks; slip or play cannot be distinguished"));
+        assert!(advice(&a).contains("packing") && advice(&a).contains("linkage"), "{}", advice(&a));
+        a.j_identifiable = Some(true);
+        assert!(!advice(&a).contains("packing"));
+        a.p_stiction = Some(0.6);
+        assert!(headline(&a).starts_with("suspected, below the alarm threshold: "), "{}", headline(&a));
+    }
+
+    #[test]
+    fn evidence_is_a_fact_and_tells_nothing_of_a_fit_that_is_not_given() {
+        let mut a = sticking();
+        let of = |name, contribution| Indicator { name, score: None, vote: Some(contribution > 0.0), contribution };
+        a.indicators = vec![of("jumps", 0.4), of("confirmed", 1.0), of("horch", -0.6)];
+        let said: Vec<String> = evidence(&a).into_iter().map(|(text, _)| text).collect();
+        assert_eq!(
+            said,
+            [
+                "PV moves in jumps while OP moves steadily: points to sticking",
+                "OP and PV are not out of phase by a quarter period: points away from sticking"
+            ]
+        );
+    }
+
+    #[test]
+    fn what_is_missing_is_said_not_shown_as_zero() {
+        let mut a = empty();
+        assert!(unknowns(&a).iter().any(|u| u.contains("no model")) && evidence(&a).is_empty());
+        assert!(sureness(&a).contains("validity check"));
+        a.reason = Some("stuck_signal");
+        assert!(sureness(&a).contains("failed transmitter") && advice(&a).contains("transmitter"));
+        let mut a = Assessment { s: Some(2.0), s_interval: Some([1.0, 4.0]), ..empty() };
+        assert_eq!(size(&a).unwrap(), "2 OP units, 90 % interval 1 to 4");
+        assert!(unknowns(&a).iter().any(|u| u.contains("--op-range")));
+        a.op_range = Some([0.0, 200.0]);
+        assert_eq!(size(&a).unwrap(), "1 % of travel (2 OP units), 90 % interval 0.5 to 2 %");
+    }
+}

@@ -1,0 +1,13 @@
+//! `analyze --plant`: the groups of loops that share an oscillation, as text.
+
+use stiction::core::plantwide::{GroupDocument, text};
+
+/// Every group, and how many loops are in none.
+pub(super) fn groups_text(groups: &[GroupDocument], loops: usize) -> String {
+    if groups.is_empty() {
+        return format!("\nOf {loops} loops no two share an oscillation: each loop's own answer counts.");
+    }
+    let each: String = groups.iter().map(|group| format!("\n{}\n", text(group))).collect();
+    let grouped: usize = groups.iter().map(|group| group.members.len()).sum();
+    each + &format!("\n{} of {loops} loops are in no group: their own answers count.", loops - grouped)
+}

@@ -1,0 +1,153 @@
+//! What is taken out of messages: one signal under its key, or several under names.
+
+use std::time::Duration;
+
+use super::Core;
+use crate::daemon::feeds::Feed;
+use crate::daemon::routes::Route;
+use crate::daemon::source::Message;
+use crate::runtime::metrics::Label;
+use stiction::core::record::Signal;
+use stiction::core::units::s_from_ns;
+use stiction_engine::codec::{self, Bundle, CodecError};
+use stiction_engine::engine::LoopId;
+
+/// How long a change of sources stays among the faults, and how long two sources of one signal do after the last value.
+const CHANGE_SHOWN: Duration = Duration::from_secs(3600);
+const CONTEST_SHOWN: Duration = Duration::from_secs(60);
+/// One message in so many is timed.
+const TIMED: u64 = 8;
+
+impl Core {
+    pub(super) fn take_message(&mut self, m: &Message) {
+        self.time_intake(m);
+        if let Some(codec) = self.bundles.codec_of(m.buf.key()).map(str::to_owned) {
+            return self.take_bundle(m, &codec);
+        }
+        let now = self.clock.since(self.started);
+        let route = self.routes.of(m.buf.key(), &mut self.engine, || self.limits.new_loop(now));
+        let Some((id, signal)) = self.admitted(route) else { return };
+        self.register(id);
+        let mut samples = std::mem::take(&mut self.samples);
+        samples.clear();
+        let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
+        let (payload, encoding) = (m.buf.payload(), m.buf.encoding());
+        match codec::decode(signal, payload, encoding, Some(&self.codec), fallback_ns, &mut samples) {
+            Ok(name) => self.count_codec(name),
+            Err(error) => self.count_undecodable(m, &error),
+        }
+        let feeds = samples.first().is_none_or(|first| {
+            self.watch_respelled(id, signal, m.buf.key(), first.t_ns);
+            self.is_fed_by(id, signal, m.buf.key(), first.t_ns)
+        });
+        if !feeds {
+            self.metrics.second_source.inc_by(samples.len() as u64);
+            samples.clear();
+        }
+        for sample in &samples {
+            self.take_sample(id, *sample, m.arrival_ns);
+        }
+        self.samples = samples;
+    }
+
+    /// How long the message was on its way here, looked at now and then: the clock and the histogram cost more than the rest.
+    fn time_intake(&mut self, m: &Message) {
+        if self.taken.is_multiple_of(TIMED) {
+            let waited_ns = self.clock.now_ns().saturating_sub(m.bus_ns.unwrap_or(m.arrival_ns));
+            self.metrics.intake.0.observe(s_from_ns(waited_ns.max(0)));
+        }
+        self.taken += 1;
+    }
+
+    /// A payload with several signals.
+    fn take_bundle(&mut self, m: &Message, codec: &str) {
+        let fallback_t_ns = m.bus_ns.unwrap_or(m.arrival_ns);
+        let bundle = Bundle { key: m.buf.key(), payload: m.buf.payload(), fallback_t_ns };
+        let read = self.bundles.read(&bundle, m.buf.encoding(), codec);
+        self.metrics.birth_names_lost.inc_by(self.bundles.take_names_lost());
+        let (meant, name, left) = match read {
+            Ok(read) => read,
+            Err(error) => return self.count_undecodable(m, &error),
+        };
+        self.count_codec(name);
+        self.metrics.unmapped_values.inc_by(left);
+        if !meant.is_empty() && self.bundles.is_new_carrier(m.buf.key()) {
+            self.routes.learn(m.buf.key());
+        }
+        let now = self.clock.since(self.started);
+        for one in meant {
+            let signal = one.sample.signal;
+            let route = self.routes.to_loop(&one.loop_name, signal, &mut self.engine, || self.limits.new_loop(now));
+            let Some((id, signal)) = self.admitted(route) else { continue };
+            if !self.is_fed_by(id, signal, &one.source, one.sample.t_ns) {
+                self.metrics.second_source.inc();
+                continue;
+            }
+            self.register(id);
+            self.take_sample(id, one.sample, m.arrival_ns);
+        }
+    }
+
+    /// A key in other letters than usual may have another beside it that means the same signal: two sources.
+    fn watch_respelled(&mut self, id: LoopId, signal: Signal, key: &str, t_ns: i64) {
+        if !self.feeds.is_watched((id, signal))
+            && let Some(first) = self.routes.respelled(key)
+        {
+            self.feeds.watch((id, signal), &first, self.taken, t_ns);
+        }
+    }
+
+    /// Whether a signal is taken from this source; a change of sources and two that both send are named.
+    fn is_fed_by(&mut self, id: LoopId, signal: Signal, source: &str, t_ns: i64) -> bool {
+        let feed = self.feeds.feed((id, signal), source, self.taken, t_ns);
+        let what = || format!("{} {}", self.engine.name(id).escape_debug(), signal.name());
+        match feed {
+            Feed::Taken => {}
+            Feed::Ignored => return false,
+            Feed::TakenOver { from } => {
+                let changes = self.metrics.source_changes.inc() + 1;
+                let (what, from, to) = (what(), from.escape_debug(), source.escape_debug());
+                let text = format!("{what}: {from} is silent, now taken from {to} ({changes} such changes so far)");
+                self.faults.raise_for("source changed", text, CHANGE_SHOWN);
+            }
+            Feed::Contested { other } => {
+                let (what, taken, other) = (what(), source.escape_debug(), other.escape_debug());
+                let text = format!("{what} comes from two sources at once: {taken} is taken, {other} is ignored");
+                self.faults.raise_for("two sources", text, CONTEST_SHOWN);
+            }
+        }
+        true
+    }
+
+    /// Where a route leads; what leads nowhere is counted.
+    fn admitted(&self, route: Route) -> Option<(LoopId, Signal)> {
+        match route {
+            Route::To(id, signal) if !self.removed.contains(&id) => return Some((id, signal)),
+            Route::Full => {
+                self.metrics.refused_loops.inc();
+                self.metrics.loops_over_limit.inc();
+            }
+            Route::Foreign => drop(self.metrics.foreign_keys.inc()),
+            Route::Refused | Route::To(..) => drop(self.metrics.refused_loops.inc()),
+            Route::Elsewhere => {}
+        }
+        None
+    }
+
+    fn count_codec(&mut self, name: &'static str) {
+        // The counters are at hand: to look one up by its label would take memory for every message.
+        if let Some((_, counter)) = self.codec_counters.iter().find(|(known, _)| *known == name) {
+            counter.inc();
+            return;
+        }
+        let counter = self.metrics.codecs.get_or_create(&Label { name: name.into() }).clone();
+        counter.inc();
+        self.codec_counters.push((name, counter));
+    }
+
+    fn count_undecodable(&self, m: &Message, error: &CodecError) {
+        if self.metrics.undecodable.inc() == 0 {
+            tracing::warn!(key = m.buf.key(), %error, "a payload could not be read; further ones are only counted");
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Loops that come, leave, are commanded and recorded anew in any order leave nothing behind.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use proptest::prelude::*;
+
+use super::Core;
+use crate::daemon::sim_daemon::{SimDaemon, no_receiver};
+use crate::runtime::clock::Clock;
+use stiction_engine::alarm::Command;
+use stiction_engine::config::Config;
+use stiction_files::disk::{Disk, SystemDisk};
+
+const START_NS: i64 = 1_700_000_000_000_000_000;
+/// Loops that come and go.
+const LOOPS: usize = 12;
+
+impl Core {
+    /// What is held of loops, by who holds it.
+    pub(crate) fn remains(&self) -> Vec<(&'static str, usize)> {
+        vec![
+            ("engine", self.engine.count()),
+            ("registered", self.registered.count()),
+            ("recordings", self.registered.shards.len()),
+            ("routes", self.routes.count()),
+            ("limits", self.limits.count()),
+            ("feeds", self.feeds.count()),
+            ("schedule", self.schedule.count()),
+            ("series", self.board.as_ref().map_or(0, super::LoopMetrics::count)),
+            ("page", self.overview.as_ref().map_or(0, |overview| overview.rows_after(0, None, usize::MAX, 0).len())),
+            ("diagnoses", self.asking.len()),
+            ("stamps ahead", usize::from(self.ahead.is_some())),
+        ]
+    }
+}
+
+/// A daemon without threads, and what happened to it.
+struct Plant {
+    stage: SimDaemon,
+    clock: Clock,
+    config: Config,
+    text: String,
+    second: i64,
+}
+
+impl Plant {
+    fn start(dir: &Path) -> Self {
+        let text = format!(
+            "[site]\nprefix = \"p\"\n[input]\nforget_after_s = 60.0\nnew_loops_per_hour = 1000000\n[window]\nhop_s = 20.0\n\
+             [gap]\nenabled = false\n[recording]\ndir = {:?}\n[[bundle]]\nkey = \"gw/**\"\n",
+            dir.to_str().unwrap()
+        );
+        let (config, clock) = (Config::parse(&text).unwrap(), Clock::standing(START_NS));
+        let disk = Arc::new(SystemDisk) as Arc<dyn Disk>;
+        let stage = SimDaemon::start(config.clone(), &text, &clock, &disk, no_receiver).unwrap();
+        Self { stage, clock, config, text, second: START_NS / 1_000_000_000 }
+    }
+
+    fn pass(&mut self, seconds: u64) {
+        self.clock.advance(Duration::from_secs(seconds));
+        self.second += seconds as i64;
+    }
+
+    /// A loop sends for a while; its windows are given up by the worker.
+    fn send(&mut self, name: &str) {
+        for _ in 0..30 {
+            for signal in ["op", "pv"] {
+                let sample = format!(r#"{{"t": {}, "v": {}}}"#, self.second * 1_000_000_000, self.second % 7);
+                self.stage.deliver(&format!("p/{name}/{signal}"), sample.as_bytes());
+            }
+            self.stage.turn();
+            self.pass(1);
+        }
+        let count =
+            |held: &str| self.stage.remains().iter().find(|(what, _)| *what == held).map_or(0, |(_, count)| *count);
+        assert!(count("feeds") > 0 && count("limits") > 0 && count("routes") > 0, "{:?}", self.stage.remains());
+        self.stage.work(usize::MAX, |_, _| None);
+        self.settle();
+    }
+
+    fn command(&mut self, name: &str, cmd: &str) {
+        let command = Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s: None };
+        assert!(self.stage.command(name, command, Box::new(|_| ())));
+        self.stage.turn();
+        self.settle();
+    }
+
+    /// The configuration is read again, unchanged.
+    fn reload(&mut self) {
+        assert!(self.stage.edit(self.config.clone(), &self.text).unwrap().is_empty());
+        self.stage.turn();
+        self.settle();
+    }
+
+    fn settle(&mut self) {
+        self.stage.record();
+        assert!(self.stage.keep());
+    }
+
+    /// All loops are silent for longer than they are remembered.
+    fn silence(&mut self) {
+        self.pass(61);
+        self.stage.health();
+        self.stage.turn();
+        self.settle();
+    }
+
+    fn recordings(&self) -> usize {
+        std::fs::read_dir(&self.config.recording.dir)
+            .unwrap()
+            .flatten()
+            .filter(|e| e.path().to_string_lossy().contains(".mcap"))
+            .count()
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Step {
+    Send(usize),
+    Silence,
+    PutAside(usize),
+    PutBack(usize),
+    Reload,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        4 => (0..LOOPS).prop_map(Step::Send),
+        1 => Just(Step::Silence),
+        1 => (0..LOOPS).prop_map(Step::PutAside),
+        1 => (0..LOOPS).prop_map(Step::PutBack),
+        1 => Just(Step::Reload),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    #[test]
+    fn loops_that_left_leave_nothing_behind(steps in proptest::collection::vec(step(), 1..30)) {
+        let dir = tempfile::tempdir().unwrap();
+        let mut plant = Plant::start(dir.path());
+        let name = |k: usize| format!("L{k}");
+        for step in steps {
+            match step {
+                Step::Send(k) => plant.send(&name(k)),
+                Step::Silence => plant.silence(),
+                Step::PutAside(k) => plant.command(&name(k), "out_of_service"),
+                Step::PutBack(k) => plant.command(&name(k), "in_service"),
+                Step::Reload => {
+                    plant.reload();
+                }
+            }
+            prop_assert!(plant.stage.engine().places() <= LOOPS);
+        }
+        // Those that were put aside are shown until somebody puts them back.
+        (0..LOOPS).for_each(|k| plant.command(&name(k), "in_service"));
+        plant.send("last");
+        plant.silence();
+        let remains: Vec<_> = plant.stage.remains().into_iter().filter(|(_, count)| *count > 0).collect();
+        prop_assert!(remains.is_empty(), "{:?}", remains);
+        let files = plant.recordings();
+        for _ in 0..5 {
+            plant.reload();
+        }
+        prop_assert_eq!(plant.recordings(), files, "a reload opens no file of loops that left");
+    }
+}
+
+#[test]
+fn two_gateways_that_spell_a_signal_differently_are_two_sources() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = format!("[site]\nprefix = \"p\"\n[recording]\ndir = {:?}\n", dir.path().to_str().unwrap());
+    let (clock, disk) = (Clock::standing(START_NS), Arc::new(SystemDisk) as Arc<dyn Disk>);
+    let mut stage = SimDaemon::start(Config::parse(&text).unwrap(), &text, &clock, &disk, no_receiver).unwrap();
+    for k in 0..20 {
+        for (signal, v) in [("op", 50), ("OP", 10)] {
+            let sample = format!(r#"{{"t": {}, "v": {v}}}"#, START_NS + k * 1_000_000_000);
+            stage.deliver(&format!("p/L/{signal}"), sample.as_bytes());
+        }
+    }
+    stage.turn();
+    assert_eq!(stage.metrics().second_source.get(), 20);
+    let named = "L op comes from two sources at once: p/L/op is taken, p/L/OP is ignored";
+    assert!(stage.faults().iter().any(|fault| fault.contains(named)), "{:?}", stage.faults());
+}

@@ -1,0 +1,69 @@
+//! Compares the loops of a plant on a thread of its own, at low priority, one comparison after the other.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, Sender};
+
+use super::gaps::yield_to_all;
+use stiction::core::plantwide::GroupDocument;
+use stiction_engine::engine::{Comparison, Misplaced};
+
+/// What a comparison gave.
+#[derive(Debug)]
+pub struct Compared {
+    /// What was compared.
+    pub comparison: Comparison,
+    /// The groups; none where the comparison failed.
+    pub groups: Option<Vec<GroupDocument>>,
+    /// Loops with a signal under the wrong name or with the wrong sign.
+    pub misplaced: Vec<(Arc<str>, Misplaced)>,
+    /// How long it took.
+    pub took: Duration,
+}
+
+/// The thread's ends. It ends when this is gone.
+pub struct Comparer {
+    /// Comparisons go in here.
+    pub requests: Sender<Comparison>,
+    /// Groups come out here.
+    pub answers: Receiver<Compared>,
+}
+
+impl Comparer {
+    /// Starts the thread of the daemon with this id.
+    ///
+    /// # Errors
+    /// The system refuses a thread.
+    pub fn start(daemon: &str) -> std::io::Result<Self> {
+        let (comparer, requests, finished) = Self::ends();
+        let daemon = daemon.to_owned();
+        std::thread::Builder::new().name("plant".into()).spawn(move || {
+            yield_to_all();
+            for comparison in requests {
+                if finished.send(compare(comparison, &daemon)).is_err() {
+                    return;
+                }
+            }
+        })?;
+        Ok(comparer)
+    }
+
+    /// This end, and the two that a thread would hold: where comparisons come out and groups go in.
+    #[must_use]
+    pub fn ends() -> (Self, Receiver<Comparison>, Sender<Compared>) {
+        let (requests, waiting) = crossbeam_channel::bounded(1);
+        let (finished, answers) = crossbeam_channel::unbounded();
+        (Self { requests, answers }, waiting, finished)
+    }
+}
+
+/// Does a comparison for the daemon with this id.
+#[must_use]
+pub fn compare(comparison: Comparison, daemon: &str) -> Compared {
+    let began = Instant::now();
+    let groups = catch_unwind(AssertUnwindSafe(|| comparison.compute(Some(daemon)))).ok();
+    let misplaced = catch_unwind(AssertUnwindSafe(|| comparison.misplaced())).unwrap_or_default();
+    Compared { comparison, groups, misplaced, took: began.elapsed() }
+}

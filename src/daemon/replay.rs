@@ -1,0 +1,539 @@
+//! Re-runs the engine on recordings. The same code path as live: only the order of what is taken comes from the file.
+//!
+//! A recorded estimate marks the place where the live engine consumed that window's answer; replay computes the answer
+//! there. Skips and commands are obeyed where they stand. So whatever the workers' speed was, the engine sees the same
+//! inputs in the same order, and must say the same.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, bail};
+use serde::Deserialize;
+
+use super::gaps::Until;
+use super::restore::{RunFile, is_recording};
+use super::to_json;
+use stiction::core::record::Sample;
+use stiction_engine::alarm::AlarmDocument;
+use stiction_engine::codec::decode_recorded;
+use stiction_engine::codec::topic::{Kind, Leaf, Topic};
+use stiction_engine::config::Config;
+use stiction_engine::engine::{
+    Checkpoint, Engine, EngineSettings, Event, GapRequest, LoopId, LoopWindow, RecordedInput, RecordedNeighbour,
+    Request, SkipReason, StateDocument,
+};
+use stiction_files::run::{REFILLED_FROM, RunMetadata};
+use stiction_files::{Item, RecordingReader};
+
+/// A document that replay made.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Output {
+    /// The loop's name.
+    pub loop_name: String,
+    /// What it is: estimate, alarm, gap, or the loop's memory after one of them.
+    pub kind: Kind,
+    /// Its JSON, to the byte.
+    pub json: Vec<u8>,
+}
+
+/// What a loop's replay has for the comparison of all loops.
+#[derive(Debug)]
+pub enum PlantEvent {
+    /// A window to compare.
+    Window(Arc<str>, Box<LoopWindow>),
+    /// The loop left.
+    Left(Arc<str>),
+}
+
+/// An engine that is driven by recorded messages.
+pub struct Replay {
+    engine: Engine,
+    /// The loops of the run before, where a file begins another.
+    before: Option<Engine>,
+    /// Windows are cut and given up, results passed over: only the loops' streams go on.
+    streams_alone: bool,
+    /// Of the file only samples and commands count: it is judged anew, and windows begin empty.
+    judging: bool,
+    /// The newest recorded answer of each loop, where only the streams go on.
+    newest: BTreeMap<String, Vec<u8>>,
+    /// Requests that wait for their place, per loop.
+    waiting: HashMap<LoopId, VecDeque<Request>>,
+    /// Where each loop stands among its windows.
+    places: HashMap<LoopId, WindowCursor>,
+    /// Diagnoses that wait for their place, per loop, and where their search was ended.
+    gaps: HashMap<LoopId, VecDeque<(GapRequest, Option<u64>)>>,
+    /// Whether diagnoses are made again. Nothing else hangs on them, so on the way to a file they need not be.
+    diagnose: bool,
+    /// Compute each request at once: for recordings that hold no results of their own.
+    at_once: bool,
+    events: Vec<Event>,
+    for_plant: Vec<PlantEvent>,
+}
+
+/// Which window a recorded estimate is of. Their ends do not tell: history that is played twice has each twice. Estimates
+/// stand in the order of their windows, one for each, skipped or not.
+#[derive(Debug, Default)]
+struct WindowCursor {
+    /// The window of the next estimate.
+    next: u64,
+    /// Windows before this one came due before the replay began: nothing of them is here.
+    first: u64,
+    /// Windows that were skipped and whose estimates have not come yet.
+    skipped: BTreeSet<u64>,
+}
+
+/// The window of a recorded estimate or gap, all that replay needs of it.
+#[derive(Deserialize)]
+struct Marker {
+    window: MarkerWindow,
+}
+
+#[derive(Deserialize)]
+struct MarkerWindow {
+    end_ns: i64,
+}
+
+/// What stands in a recording had its place when it was recorded.
+fn unlimited(settings: EngineSettings) -> EngineSettings {
+    EngineSettings { max_loops: usize::MAX, ..settings }
+}
+
+fn engine_of(settings: EngineSettings) -> Engine {
+    Engine::new(unlimited(settings))
+}
+
+impl Replay {
+    /// A replay under an engine's settings. `at_once` is for recordings without results.
+    #[must_use]
+    pub fn new(settings: EngineSettings, at_once: bool) -> Self {
+        Self {
+            engine: engine_of(settings),
+            before: None,
+            streams_alone: false,
+            judging: false,
+            newest: BTreeMap::new(),
+            waiting: HashMap::new(),
+            places: HashMap::new(),
+            gaps: HashMap::new(),
+            diagnose: true,
+            at_once,
+            events: Vec::new(),
+            for_plant: Vec::new(),
+        }
+    }
+
+    /// Whether only samples are replayed, and the windows and results of the following files are passed over.
+    pub const fn set_streams_alone(&mut self, streams_alone: bool) {
+        self.streams_alone = streams_alone;
+    }
+
+    /// Whether only samples and commands of the following files count.
+    pub const fn set_judging(&mut self, judging: bool) {
+        self.judging = judging;
+    }
+
+    /// The newest recorded answer of each loop, as JSON.
+    pub fn take_newest(&mut self) -> BTreeMap<String, Vec<u8>> {
+        std::mem::take(&mut self.newest)
+    }
+
+    /// The replay begins, under these settings.
+    pub fn begin(&mut self, settings: EngineSettings) {
+        self.engine = engine_of(settings);
+    }
+
+    /// A file begins another run, under these settings: of the loops so far those go on that its head names.
+    pub fn begin_run(&mut self, settings: EngineSettings) {
+        self.before = Some(std::mem::replace(&mut self.engine, engine_of(settings)));
+        self.waiting.clear();
+        self.places.clear();
+        self.gaps.clear();
+    }
+
+    /// A file was recorded after an edit of the configuration, which happens here.
+    pub fn edit(&mut self, settings: EngineSettings) {
+        self.engine.reconfigure(unlimited(settings));
+    }
+
+    /// The engine as it is now.
+    #[must_use]
+    pub fn into_engine(self) -> Engine {
+        self.engine
+    }
+
+    /// Whether the gap diagnoses of the following files are made again, or only their places are kept.
+    pub const fn set_diagnose(&mut self, diagnose: bool) {
+        self.diagnose = diagnose;
+    }
+
+    /// What came for the comparison of all loops since the last time.
+    pub fn drain_for_plant(&mut self) -> impl Iterator<Item = PlantEvent> + '_ {
+        self.for_plant.drain(..)
+    }
+
+    /// Takes one message of the file.
+    ///
+    /// # Errors
+    /// A payload that is not what its topic says.
+    pub fn take(&mut self, topic: &Topic<'_>, data: &[u8], out: &mut Vec<Output>) -> anyhow::Result<()> {
+        if let Leaf::Raw(signal) = topic.leaf {
+            self.take_sample(topic.loop_name, decode_recorded(signal, data)?, out);
+            return Ok(());
+        }
+        let Some(id) = self.engine.appear(topic.loop_name) else { return Ok(()) };
+        match topic.leaf {
+            Leaf::Document(Kind::Estimate) if self.streams_alone => {
+                self.newest.insert(topic.loop_name.to_owned(), data.to_vec());
+            }
+            Leaf::Document(kind) if (self.streams_alone || self.judging) && kind != Kind::Input => {}
+            Leaf::Document(Kind::Estimate) if !self.at_once => {
+                let marker: Marker = serde_json::from_slice(data).context("a recorded estimate names no window")?;
+                self.answer(id, marker.window.end_ns);
+            }
+            Leaf::Document(Kind::Gap) if !self.at_once => self.diagnose_next(id),
+            Leaf::Document(Kind::Input) => {
+                self.obey(id, serde_json::from_slice(data).context("a recorded input")?, out)?;
+            }
+            Leaf::Raw(_) | Leaf::Document(_) => {}
+        }
+        self.sort_events(out);
+        Ok(())
+    }
+
+    /// Takes one sample of a loop.
+    pub fn take_sample(&mut self, loop_name: &str, sample: Sample, out: &mut Vec<Output>) {
+        let Some(id) = self.engine.appear(loop_name) else { return };
+        self.engine.push(id, sample, &mut self.events);
+        self.sort_events(out);
+    }
+
+    /// Does what outside time or people did there.
+    fn obey(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) -> anyhow::Result<()> {
+        match input {
+            // Which windows were skipped, and what loops were told of each other, belongs to the run that was recorded.
+            other if self.judging && !matches!(other, RecordedInput::Command(_)) => {}
+            RecordedInput::Command(_) | RecordedInput::GapRun { .. } | RecordedInput::Removed if self.streams_alone => {
+            }
+            RecordedInput::Skip { seq, .. } => {
+                self.waiting.entry(id).or_default().retain(|r| r.seq != seq);
+                self.places.entry(id).or_default().skipped.insert(seq);
+                self.engine.skip(id, seq, &mut self.events);
+            }
+            RecordedInput::Command(command) => {
+                if let Ok(document) = self.engine.command(id, &command) {
+                    self.put_alarm(id, &document, out);
+                }
+            }
+            RecordedInput::GapRun { by, .. } => {
+                // A run that was recorded was not refused.
+                let _ = self.engine.run_gap(id, by.as_deref(), false, &mut self.events);
+            }
+            RecordedInput::GapNeighbours { number, neighbours } => {
+                if let Some((request, _)) = self.waiting_gap(id, number) {
+                    request.neighbours = neighbours.iter().map(RecordedNeighbour::neighbour).collect();
+                }
+            }
+            RecordedInput::GapEarlier { number, windows } => {
+                if let Some((request, _)) = self.waiting_gap(id, number) {
+                    request.earlier = windows;
+                }
+            }
+            RecordedInput::GapSkip { number, reason } => {
+                self.gaps.entry(id).or_default().retain(|(r, _)| r.number != number);
+                self.engine.skip_gap(id, number, reason, &mut self.events);
+            }
+            RecordedInput::Group { standing } => self.engine.stand(id, standing.map(|standing| *standing)),
+            // Of many loops: not in a loop's own channel.
+            RecordedInput::Comparing { .. } | RecordedInput::Compared { .. } => {}
+            RecordedInput::Forget => {
+                self.for_plant.push(PlantEvent::Left(self.engine.name(id).clone()));
+                self.engine.forget(id);
+                self.places.remove(&id);
+                self.waiting.remove(&id);
+                self.gaps.remove(&id);
+            }
+            RecordedInput::Removed => {
+                if let Some(document) = self.engine.end_alarm(id) {
+                    self.put_alarm(id, &document, out);
+                }
+            }
+            RecordedInput::GapCut { number, evaluations } => {
+                if let Some((_, cut)) = self.waiting_gap(id, number) {
+                    *cut = Some(evaluations);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// A loop's diagnosis that was asked for and not made yet, with the evaluations at which its search is ended.
+    fn waiting_gap(&mut self, id: LoopId, number: u64) -> Option<&mut (GapRequest, Option<u64>)> {
+        self.gaps.get_mut(&id)?.iter_mut().find(|(request, _)| request.number == number)
+    }
+
+    /// Makes the loop's oldest diagnosis, whose recorded document stands here.
+    fn diagnose_next(&mut self, id: LoopId) {
+        if let Some((request, cut)) = self.gaps.entry(id).or_default().pop_front() {
+            self.diagnose(&request, cut);
+        }
+    }
+
+    fn diagnose(&mut self, request: &GapRequest, cut: Option<u64>) {
+        let (id, number) = (request.id, request.number);
+        match self.diagnose.then(|| request.compute(&Until(cut))) {
+            Some(Ok(document)) => self.engine.complete_gap(id, number, document, &mut self.events),
+            // Without an answer there is no document; a recorded one then stands without its like.
+            Some(Err(_)) | None => self.engine.skip_gap(id, number, SkipReason::Failed, &mut self.events),
+        }
+    }
+
+    /// Takes over the states that a file starts with: everything at the start of the replay and of a run, no streams later.
+    ///
+    /// # Errors
+    /// A payload that is no state.
+    pub fn take_head(&mut self, data: &[u8], everything: bool) -> anyhow::Result<()> {
+        if self.judging {
+            return Ok(());
+        }
+        let state: StateDocument = serde_json::from_slice(data).context("a recorded state cannot be read")?;
+        if let Some(before) = self.before.as_mut().filter(|_| everything) {
+            self.engine.take_loop(before, &state.loop_name, 0..usize::MAX);
+        }
+        let Some(id) = self.engine.appear(&state.loop_name) else { return Ok(()) };
+        if everything {
+            let (windows, waiting) = state.checkpoint.stream.as_ref().map_or((0, 0), |s| (s.windows(), s.waiting()));
+            let place =
+                WindowCursor { next: windows.saturating_sub(waiting), first: windows, skipped: BTreeSet::new() };
+            self.places.insert(id, place);
+            self.engine.restore(id, state.checkpoint);
+        } else {
+            self.engine.restore_memory(id, state.checkpoint);
+        }
+        Ok(())
+    }
+
+    /// Computes the answer to the window that a recorded estimate is of.
+    fn answer(&mut self, id: LoopId, end_ns: i64) {
+        let place = self.places.entry(id).or_default();
+        let seq = place.next;
+        place.next += 1;
+        if place.skipped.remove(&seq) || seq < place.first {
+            return;
+        }
+        let Some(waiting) = self.waiting.get_mut(&id) else { return };
+        let exact = waiting.iter().position(|r| r.seq == seq && r.end_ns == end_ns);
+        // Older recordings do not say how many windows had no answer yet when they begin.
+        let Some(at) = exact.or_else(|| waiting.iter().position(|r| r.end_ns == end_ns)) else { return };
+        if let Some(request) = waiting.remove(at) {
+            place.next = request.seq + 1;
+            self.engine.complete(id, request.seq, request.compute(), &mut self.events);
+        }
+    }
+
+    fn sort_events(&mut self, out: &mut Vec<Output>) {
+        while !self.events.is_empty() {
+            for event in std::mem::take(&mut self.events) {
+                match event {
+                    Event::Request(request) if self.streams_alone => {
+                        self.engine.skip(request.id, request.seq, &mut self.events);
+                    }
+                    _ if self.streams_alone => {}
+                    Event::Request(request) if self.at_once => {
+                        self.engine.complete(request.id, request.seq, request.compute(), &mut self.events);
+                    }
+                    Event::GapRequest(request) if self.at_once => self.diagnose(&request, None),
+                    Event::GapRequest(request) => {
+                        self.gaps.entry(request.id).or_default().push_back((*request, None));
+                    }
+                    Event::Gap(id, document) => out.extend(self.output(id, Kind::Gap, &document)),
+                    Event::Request(request) => self.waiting.entry(request.id).or_default().push_back(*request),
+                    Event::Estimate(id, document) => out.extend(self.output(id, Kind::Estimate, &document)),
+                    Event::Alarm(id, document) => out.extend(self.output(id, Kind::Alarm, &document)),
+                    Event::Window(id, window) => {
+                        self.for_plant.push(PlantEvent::Window(self.engine.name(id).clone(), window));
+                    }
+                    Event::State(id, document) => out.extend(self.output(id, Kind::State, &document)),
+                }
+            }
+        }
+    }
+
+    /// A change outside the windows, and the loop's memory after it.
+    fn put_alarm(&self, id: LoopId, document: &AlarmDocument, out: &mut Vec<Output>) {
+        let memory = Checkpoint { stream: None, ..self.engine.checkpoint(id) };
+        let state = StateDocument::new(self.engine.name(id), Some(document.changed_ns), memory);
+        out.extend(self.output(id, Kind::Alarm, document));
+        out.extend(self.output(id, Kind::State, &state));
+    }
+
+    fn output(&self, id: LoopId, kind: Kind, document: &impl serde::Serialize) -> Option<Output> {
+        Some(Output { loop_name: self.engine.name(id).to_string(), kind, json: to_json(document)? })
+    }
+}
+
+/// The files of a folder or the one file given, as chains: each inner list is one shard of one run, oldest first.
+///
+/// # Errors
+/// Nothing there is a recording.
+pub fn chains_of(input: &Path) -> anyhow::Result<Vec<Vec<PathBuf>>> {
+    if !input.is_dir() {
+        return Ok(vec![vec![input.to_owned()]]);
+    }
+    let mut files = Vec::new();
+    let entries = std::fs::read_dir(input).with_context(|| input.display().to_string())?;
+    for path in entries.flatten().map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
+        // A kill before the first flush leaves nothing in a file.
+        if path.extension().is_some_and(|e| e == "part") && std::fs::metadata(&path).is_ok_and(|m| m.len() == 0) {
+            tracing::warn!(file = %path.display(), "is empty: left out");
+            continue;
+        }
+        let reader = RecordingReader::open(&path)?;
+        if let Some(file) = RunFile::of(&path, reader.metadata()) {
+            files.push(file);
+        } else {
+            tracing::warn!(file = %path.display(), "no recording of ours: left out");
+        }
+    }
+    if files.is_empty() {
+        bail!("{}: holds no recordings", input.display());
+    }
+    files.sort_by(|a, b| (a.started_ns, &a.run_id, a.shard, a.index).cmp(&(b.started_ns, &b.run_id, b.shard, b.index)));
+    let chains = files.chunk_by(|a, b| (&a.run_id, a.shard) == (&b.run_id, b.shard));
+    Ok(chains.map(|chain| chain.iter().map(|f| f.path.clone()).collect()).collect())
+}
+
+/// The states at the head of a file: loop and greatest source time.
+pub(super) fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
+    let mut reader = RecordingReader::open(path)?;
+    let mut heads = BTreeMap::new();
+    while let Some(message) = reader.next_message()? {
+        let Some(topic) = Topic::parse(Some(prefix), message.topic()) else { continue };
+        if topic.leaf != Leaf::Document(Kind::State) {
+            break;
+        }
+        let state: StateDocument = serde_json::from_slice(message.data)
+            .with_context(|| format!("{}: a recorded state cannot be read", path.display()))?;
+        heads.insert(state.loop_name, state.checkpoint.stream.and_then(|s| s.greatest_ns()));
+    }
+    Ok(heads)
+}
+
+/// The loops that a file holds samples or results of, and the earliest window of their gap diagnoses; the others have no
+/// window in it.
+fn loops_with_windows(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
+    let mut reader = RecordingReader::open(path)?;
+    let mut loops: BTreeMap<String, Option<i64>> = BTreeMap::new();
+    // A sample says no more than its channel, which is looked at once.
+    let mut seen = BTreeSet::new();
+    while let Some(item) = reader.next_item()? {
+        let (id, channel) = item.channel();
+        if !seen.insert(id) && channel.kind != Some(Kind::Gap) {
+            continue;
+        }
+        let Some(topic) = Topic::parse(Some(prefix), &channel.topic) else { continue };
+        match topic.leaf {
+            Leaf::Document(Kind::Gap) => {
+                let Item::Message(message) = item else { continue };
+                let marker: Marker = serde_json::from_slice(message.data).context("a recorded gap names no window")?;
+                let earliest = loops.entry(topic.loop_name.to_owned()).or_default();
+                *earliest = Some(earliest.map_or(marker.window.end_ns, |e| e.min(marker.window.end_ns)));
+            }
+            Leaf::Raw(_) | Leaf::Document(Kind::Estimate) if !loops.contains_key(topic.loop_name) => {
+                loops.insert(topic.loop_name.to_owned(), None);
+            }
+            _ => {}
+        }
+    }
+    Ok(loops)
+}
+
+/// The loops whose windows go on into a chain of files, and the greatest source time up to which what came before is needed.
+fn loops_that_go_on(chain: &[PathBuf], prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
+    let Some(first) = chain.first() else { return Ok(BTreeMap::new()) };
+    let mut alive: BTreeMap<String, Option<i64>> = BTreeMap::new();
+    // A loop that is silent in the first file may send in a later one what it had kept back.
+    for file in chain {
+        for (name, earliest) in loops_with_windows(file, prefix)? {
+            let of = alive.entry(name).or_default();
+            *of = of.iter().copied().chain(earliest).min();
+        }
+    }
+    let mut own = heads(first, prefix)?;
+    own.retain(|name, _| alive.contains_key(name));
+    // A diagnosis may be of a window long before the file in which it was done.
+    for (name, greatest) in &mut own {
+        *greatest = greatest.map(|g| alive.get(name).copied().flatten().map_or(g, |end_ns| g.min(end_ns)));
+    }
+    Ok(own)
+}
+
+/// The files that must be read before a chain of files so that its windows are complete, oldest first.
+///
+/// # Errors
+/// Names the file that is gone.
+pub fn files_before(chain: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let Some(path) = chain.first() else { return Ok(Vec::new()) };
+    let metadata = RunMetadata::of(path, RecordingReader::open(path)?.metadata())?;
+    if metadata.previous.is_empty() {
+        return Ok(Vec::new());
+    }
+    let own = loops_that_go_on(chain, &metadata.prefix)?;
+    let reach_ns = reach_ns(&metadata.config);
+    let mut files = Vec::new();
+    let (mut previous, mut refilled_from) = (metadata.previous.clone(), metadata.refilled_from.clone());
+    while !previous.is_empty() {
+        let Some(file) = neighbour(path, &previous) else {
+            let gone = path.with_file_name(&previous);
+            bail!("{}: missing; the windows of {} reach back into it", gone.display(), path.display());
+        };
+        let earlier = heads(&file, &metadata.prefix)?;
+        let far_enough =
+            own.iter().filter_map(|(name, greatest)| greatest.map(|g| (name, g))).all(|(name, greatest)| {
+                // A loop that had not come yet needs nothing from before.
+                earlier.get(name).copied().flatten().is_none_or(|g| greatest.saturating_sub(g) >= reach_ns)
+            });
+        let is_first = previous == refilled_from;
+        let reader = RecordingReader::open(&file)?;
+        let get = |key: &str| reader.metadata().get(key).cloned().unwrap_or_default();
+        previous = get("previous");
+        if !get(REFILLED_FROM).is_empty() {
+            refilled_from = get(REFILLED_FROM);
+        }
+        files.push(file);
+        if far_enough || is_first {
+            break;
+        }
+    }
+    files.reverse();
+    Ok(files)
+}
+
+/// How far the windows of any loop may reach back, ns.
+pub(super) fn reach_ns(config: &Config) -> i64 {
+    let windows = config.loops.iter().map(|l| l.window).chain([config.window]);
+    let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
+    stiction::core::units::ns_from_s(reach_s)
+}
+
+/// The recording of this name beside another one, finished or not. An empty name is none.
+pub(super) fn neighbour(path: &Path, name: &str) -> Option<PathBuf> {
+    [path.with_file_name(name), path.with_file_name(format!("{name}.part"))].into_iter().find(|p| p.is_file())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_a_kill_left_empty_is_left_out_and_a_damaged_one_is_an_error() {
+        let dir = tempfile::tempdir().unwrap();
+        let pairs = [("prefix", "p"), ("run_id", "r"), ("started_ns", "1"), ("shard", "0"), ("file_index", "0")];
+        let metadata = pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).into_iter().collect();
+        let whole = stiction_files::RecordingFile::create(dir.path(), "a", &metadata).unwrap().finish().unwrap();
+        std::fs::write(dir.path().join("b.mcap.part"), b"").unwrap();
+        assert_eq!(chains_of(dir.path()).unwrap(), [[whole]]);
+        std::fs::write(dir.path().join("c.mcap"), b"").unwrap();
+        assert!(chains_of(dir.path()).unwrap_err().to_string().contains("c.mcap"));
+    }
+}

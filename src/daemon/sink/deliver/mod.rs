@@ -1,0 +1,294 @@
+//! Documents to receivers outside the bus. Each receiver has a queue of its own and gets one document after the other. A
+//! receiver that is away is tried again until it is back; a document that it refuses goes to the dead-letter file and
+//! blocks nothing. What waits is in a store beside the recordings, so a restart loses nothing and may send a document
+//! twice, under the same identity.
+//!
+//! The engine's thread only hands documents over. One thread writes them to the store, before any receiver sees them unless
+//! the disk takes longer than a second; each receiver has a thread that may wait for it as long as it takes.
+
+mod dead;
+mod keep;
+mod ledger;
+mod queue;
+mod webhook;
+mod worker;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use serde::{Deserialize, Serialize};
+
+use crate::daemon::sink::mark::Mark;
+use crate::runtime::clock::Clock;
+use crate::runtime::data_health::DataHealthDocument;
+use crate::runtime::faults::Faults;
+use crate::runtime::metrics::Metrics;
+use keep::Keep;
+use ledger::Ledger;
+use queue::Queue;
+use stiction::core::units::format_rfc3339;
+use stiction_engine::alarm::AlarmDocument;
+use stiction_engine::codec::topic::Kind;
+use stiction_engine::config::{Config, Deliver};
+use stiction_engine::short_hash;
+use stiction_files::disk::Disk;
+pub use worker::MakeTarget;
+use worker::{Step, Worker};
+
+/// How long a receiver may take for one document.
+const SEND_WITHIN: Duration = Duration::from_secs(10);
+/// How long a thread sleeps where nobody wakes it.
+const IDLE: Duration = Duration::from_secs(20);
+/// How long a loss stays among the faults.
+const LOSS_SHOWN: Duration = Duration::from_secs(3600);
+
+/// A document on its way to receivers.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Item {
+    /// Its identity: whoever has seen it may drop it.
+    pub id: String,
+    /// What it is: `alarm`, `estimate`, `gap` or `data_health`.
+    pub kind: String,
+    /// Its schema's name.
+    pub schema: String,
+    /// Its loop.
+    pub loop_name: String,
+    /// The site's prefix.
+    pub prefix: String,
+    /// When it happened, RFC 3339, plant time.
+    pub time: String,
+    /// The document, JSON.
+    pub document: String,
+}
+
+impl Item {
+    /// A change of an alarm.
+    #[must_use]
+    pub fn alarm(prefix: &str, a: &AlarmDocument, json: &[u8]) -> Self {
+        Self {
+            id: a.event_id.clone(),
+            kind: Kind::Alarm.name().to_owned(),
+            schema: a.schema.to_owned(),
+            loop_name: a.loop_name.clone(),
+            prefix: prefix.to_owned(),
+            time: a.changed.clone(),
+            document: String::from_utf8_lossy(json).into_owned(),
+        }
+    }
+
+    /// An estimate or a gap diagnosis, of a window that ended at this time.
+    #[must_use]
+    pub fn result(prefix: &str, loop_name: &str, kind: Kind, end_ns: i64, json: &[u8]) -> Self {
+        Self {
+            id: short_hash(&[prefix.as_bytes(), b"\n", loop_name.as_bytes(), b"\n", json].concat()),
+            kind: kind.name().to_owned(),
+            schema: kind.schema().to_owned(),
+            loop_name: loop_name.to_owned(),
+            prefix: prefix.to_owned(),
+            time: format_rfc3339(end_ns),
+            document: String::from_utf8_lossy(json).into_owned(),
+        }
+    }
+}
+
+impl Item {
+    /// The summary of data health.
+    #[must_use]
+    pub fn data_health(prefix: &str, document: &DataHealthDocument, json: &[u8]) -> Self {
+        Self {
+            id: document.event_id.clone(),
+            kind: Kind::DataHealth.name().to_owned(),
+            schema: document.schema.to_owned(),
+            loop_name: format!("@daemon/{}", document.daemon),
+            prefix: prefix.to_owned(),
+            time: format_rfc3339(document.due_ns),
+            document: String::from_utf8_lossy(json).into_owned(),
+        }
+    }
+}
+
+/// Why a receiver did not take a document.
+#[derive(Debug)]
+pub enum Failure {
+    /// It answered that it does not take it now, and after which time to try again where it says one.
+    Later(String, Option<Duration>),
+    /// It did not answer.
+    Unanswered(String),
+    /// It answered that it will never take it.
+    Refused(String),
+}
+
+/// What hands documents to one receiver.
+pub trait Target: Send {
+    /// Hands one over; returns once the receiver has it, as far as its protocol can tell.
+    ///
+    /// # Errors
+    /// [`Failure`] says whether it is worth another attempt.
+    fn send(&mut self, item: &Item) -> Result<(), Failure>;
+}
+
+/// Makes what sends to a receiver; nothing is connected yet.
+fn target(d: &Deliver) -> anyhow::Result<Box<dyn Target>> {
+    Ok(Box::new(webhook::Webhook::new(d)?))
+}
+
+/// Whether a receiver can be sent to, as far as files tell.
+///
+/// # Errors
+/// A file cannot be read or holds something else.
+pub fn check(d: &Deliver) -> anyhow::Result<()> {
+    target(d).map(drop)
+}
+
+/// The engine's end; copies hand over to the same receivers.
+#[derive(Clone)]
+pub struct Outbox(Arc<Handed>);
+
+/// What the copies share; without it nothing more can come.
+struct Handed {
+    ledger: Arc<Ledger>,
+    wanted: Vec<String>,
+}
+
+impl Drop for Handed {
+    fn drop(&mut self) {
+        self.ledger.close();
+    }
+}
+
+impl Outbox {
+    /// Starts the threads; none where the configuration names no receiver. The one that keeps the store ends when the
+    /// `Outbox` is dropped; the others end with it, or with the process where a receiver holds them up.
+    ///
+    /// # Errors
+    /// A receiver's file cannot be used, or the system refuses a thread.
+    pub fn start(
+        config: &Config,
+        dir: &Path,
+        (disk, mark): (Arc<dyn Disk>, &Mark),
+        faults: &Arc<Faults>,
+        metrics: &Arc<Metrics>,
+    ) -> anyhow::Result<Option<(Self, JoinHandle<()>)>> {
+        if config.deliver.is_empty() {
+            return Ok(None);
+        }
+        let place = (disk, Clock::system(), mark.clone());
+        let make = |d: &Deliver| {
+            let entry = d.clone();
+            Box::new(move || target(&entry)) as MakeTarget
+        };
+        let (outbox, delivery) = Self::pair(config, dir, place, make, faults, metrics)?;
+        let Delivery { mut keep, workers, .. } = delivery;
+        for (mut worker, _) in workers {
+            let thread = std::thread::Builder::new().name(format!("to-{}", worker.queue.name));
+            thread.spawn(move || worker.supervise())?;
+        }
+        let thread = std::thread::Builder::new().name("outbox".into());
+        let handle = thread.spawn(move || keep.run()).map_err(|e| anyhow!(e))?;
+        Ok(Some((outbox, handle)))
+    }
+
+    /// Both ends without threads: whoever holds the other one decides when it works, and makes the receivers.
+    ///
+    /// # Errors
+    /// A receiver cannot be made.
+    pub fn pair(
+        config: &Config,
+        dir: &Path,
+        (disk, clock, mark): (Arc<dyn Disk>, Clock, Mark),
+        make: impl Fn(&Deliver) -> MakeTarget,
+        faults: &Arc<Faults>,
+        metrics: &Arc<Metrics>,
+    ) -> anyhow::Result<(Self, Delivery)> {
+        let queues = config.deliver.iter().map(|d| Arc::new(Queue::new(d, &clock, metrics))).collect::<Vec<_>>();
+        // Also where the store cannot be read yet, numbers of this run lie above those in it.
+        let first = u64::try_from(clock.now_ns()).unwrap_or_default();
+        let place = (mark.clone(), clock.clone());
+        let ledger = Arc::new(Ledger::new(first, queues.clone(), place, faults.clone(), metrics.clone()));
+        let mut workers = Vec::new();
+        for (d, queue) in config.deliver.iter().zip(queues) {
+            let make = make(d);
+            let target = Some(make().with_context(|| format!("[[deliver]] {}", d.name))?);
+            let worker = Worker {
+                queue,
+                ledger: ledger.clone(),
+                faults: faults.clone(),
+                metrics: metrics.clone(),
+                clock: clock.clone(),
+                make,
+                target,
+                pause: worker::FIRST_PAUSE,
+                round: 0,
+            };
+            workers.push((worker, clock.now()));
+        }
+        let mut wanted: Vec<String> = config.deliver.iter().flat_map(|d| d.documents.clone()).collect();
+        wanted.sort();
+        wanted.dedup();
+        let keep = Keep::open(dir, disk, ledger.clone(), mark, faults.clone(), metrics.clone());
+        Ok((Self(Arc::new(Handed { ledger, wanted })), Delivery { keep, workers, clock }))
+    }
+
+    /// Whether any receiver wants documents of this kind.
+    #[must_use]
+    pub fn wants(&self, kind: Kind) -> bool {
+        self.0.wanted.iter().any(|wanted| wanted == kind.name())
+    }
+
+    /// Hands a document over; never waits.
+    pub fn offer(&self, item: Item) {
+        self.0.ledger.offer(&Arc::new(item));
+    }
+
+    /// Why documents are not stored at present, and sent all the same; none while the disk answers.
+    #[must_use]
+    pub fn stall(&self) -> Option<String> {
+        let (taken, lacking) = self.0.ledger.stall()?;
+        let s = taken.as_secs();
+        let what = "they are sent all the same, and those that wait are lost if the daemon ends before it answers";
+        Some(format!("the disk has not answered for {s} s: {lacking} documents for receivers are not stored; {what}"))
+    }
+}
+
+/// The far end of an [`Outbox`], without threads.
+pub struct Delivery {
+    keep: Keep,
+    /// Receivers, each with the time before which it is not tried again.
+    workers: Vec<(Worker, Instant)>,
+    clock: Clock,
+}
+
+impl Delivery {
+    /// Stores what was handed over, and sends nothing.
+    pub fn store(&mut self) {
+        self.keep.turn();
+    }
+
+    /// Stores what was handed over and sends what waits. Says whether all of it is in the store.
+    pub fn turn(&mut self) -> bool {
+        self.keep.turn();
+        for (worker, not_before) in &mut self.workers {
+            while self.clock.now() >= *not_before {
+                match worker.step(Duration::ZERO) {
+                    Step::Next => {}
+                    Step::Wait(pause) => *not_before = self.clock.now() + pause,
+                    Step::Idle | Step::Closed => break,
+                }
+            }
+        }
+        self.keep.turn();
+        self.keep.is_stored()
+    }
+
+    /// Documents that wait for receivers.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.workers.iter().map(|(worker, _)| worker.queue.len()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests;

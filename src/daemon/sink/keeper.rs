@@ -1,0 +1,458 @@
+//! Keeps every loop's memory (alarm, acknowledgement, gap watch) in the store beside the recordings, and notes of recordings
+//! that were found whole.
+//!
+//! A thread of its own. What waits for it is the newest state of each loop, so it never grows beyond the loops; states
+//! that come together are one transaction. It comes after the documents that were handed over for receivers before, so that
+//! no stored state hides one that was lost; an answer to a command waits for both. While the disk refuses, states wait,
+//! commands are answered with that, and the fault says so; nothing else stops.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use super::mark::Mark;
+use crate::daemon::restore::open_store;
+use crate::runtime::faults::Faults;
+use crate::runtime::metrics::Metrics;
+use stiction_files::disk::Disk;
+use stiction_files::store::{STORE_NAME, StateStore, key_of, key_of_data_health, key_of_verified};
+
+/// How long states of windows wait for others to go with them.
+const GATHER: Duration = Duration::from_millis(200);
+/// Pause after an error before the store is tried again.
+const RETRY: Duration = Duration::from_secs(2);
+/// How long somebody waits for the disk before he is told that it does not answer.
+const LATE: Duration = Duration::from_secs(3);
+/// Name of its fault.
+const FAULT: &str = "state";
+
+/// Told once the state is on the disk, or why it is not.
+pub type Kept = Box<dyn FnOnce(Result<(), String>) + Send>;
+
+/// Somebody who waits for the disk.
+struct Waiter {
+    /// Which of all who waited.
+    number: u64,
+    since: Instant,
+    kept: Kept,
+}
+
+/// Newest values by key; none where nothing is kept any more.
+type States = BTreeMap<String, Option<Vec<u8>>>;
+
+#[derive(Default)]
+struct Pending {
+    states: States,
+    waiters: Vec<Waiter>,
+    /// How many have waited so far.
+    asked: u64,
+    /// The newest document that was handed over before.
+    after: u64,
+    closed: bool,
+}
+
+/// What is stored together.
+struct Batch {
+    states: States,
+    /// The last one who waits for it.
+    asked: u64,
+    after: u64,
+    is_last: bool,
+}
+
+impl Pending {
+    fn take(&mut self) -> Batch {
+        Batch { states: std::mem::take(&mut self.states), asked: self.asked, after: self.after, is_last: self.closed }
+    }
+}
+
+#[derive(Default)]
+struct Shared {
+    /// How far the store of documents is.
+    mark: Mark,
+    pending: Mutex<Pending>,
+    wake: Condvar,
+    /// The store was taken away: what it held must come again.
+    wants_all: AtomicBool,
+}
+
+/// The engine's end.
+pub struct Keeper {
+    shared: Arc<Shared>,
+    prefix: String,
+}
+
+impl Drop for Keeper {
+    fn drop(&mut self) {
+        self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner).closed = true;
+        self.shared.wake.notify_one();
+    }
+}
+
+impl Keeper {
+    /// Starts the thread; `store` is the one that was open already, if it was, and `mark` says how far the store of documents
+    /// is. It ends when the `Keeper` is dropped and
+    /// all states are stored, or cannot be.
+    ///
+    /// # Errors
+    /// The system refuses a thread.
+    pub fn start(
+        dir: &Path,
+        prefix: &str,
+        (store, mark): (Option<StateStore>, Mark),
+        disk: Arc<dyn Disk>,
+        faults: Arc<Faults>,
+        metrics: Arc<Metrics>,
+    ) -> std::io::Result<(Self, JoinHandle<()>)> {
+        let (keeper, mut worker) = Self::pair(dir, prefix, (store, mark), disk, faults, metrics);
+        let thread = std::thread::Builder::new().name("state".into()).spawn(move || worker.run())?;
+        Ok((keeper, thread))
+    }
+
+    /// Both ends without a thread: whoever holds the other one decides when it works.
+    #[must_use]
+    pub fn pair(
+        dir: &Path,
+        prefix: &str,
+        (store, mark): (Option<StateStore>, Mark),
+        disk: Arc<dyn Disk>,
+        faults: Arc<Faults>,
+        metrics: Arc<Metrics>,
+    ) -> (Self, Worker) {
+        let shared = Arc::new(Shared { mark, ..Shared::default() });
+        let worker = Worker { path: dir.join(STORE_NAME), store, disk, shared: shared.clone(), faults, metrics };
+        (Self { shared, prefix: prefix.to_owned() }, worker)
+    }
+
+    /// Keeps a loop's state soon.
+    pub fn keep(&self, loop_name: &str, json: Vec<u8>) {
+        self.put(loop_name, Some(json), None);
+    }
+
+    /// A loop has left the plant: nothing of it is kept.
+    pub fn forget(&self, loop_name: &str) {
+        self.put(loop_name, None, None);
+    }
+
+    /// Keeps it at once and tells when it is on the disk.
+    pub fn keep_then(&self, loop_name: &str, json: Vec<u8>, now: Instant, kept: Kept) {
+        self.put(loop_name, Some(json), Some((now, kept)));
+    }
+
+    /// Tells those who have waited long that the disk does not answer.
+    pub fn tell_late(&self, now: Instant) {
+        let is_late = |waiter: &Waiter| now.saturating_duration_since(waiter.since) >= LATE;
+        for waiter in self.shared.take_waiters(is_late) {
+            let s = now.saturating_duration_since(waiter.since).as_secs();
+            (waiter.kept)(Err(format!("the disk has not answered for {s} s")));
+        }
+    }
+
+    /// Where notes of recordings go.
+    #[must_use]
+    pub fn notes(&self) -> Notes {
+        Notes(self.shared.clone())
+    }
+
+    /// Whether every loop's state must be kept again; says so once.
+    #[must_use]
+    pub fn wants_all(&self) -> bool {
+        self.shared.wants_all.swap(false, Ordering::Relaxed)
+    }
+
+    fn put(&self, loop_name: &str, json: Option<Vec<u8>>, kept: Option<(Instant, Kept)>) {
+        self.shared.put(key_of(&self.prefix, loop_name), json, kept);
+    }
+}
+
+impl Shared {
+    /// Those who wait and are so, who wait no longer.
+    fn take_waiters(&self, is_so: impl Fn(&Waiter) -> bool) -> Vec<Waiter> {
+        let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        let (taken, left) = std::mem::take(&mut pending.waiters).into_iter().partition(is_so);
+        pending.waiters = left;
+        taken
+    }
+
+    fn put(&self, key: String, json: Option<Vec<u8>>, kept: Option<(Instant, Kept)>) {
+        let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        pending.states.insert(key, json);
+        pending.after = self.mark.handed();
+        let urgent = kept.is_some();
+        if let Some((since, kept)) = kept {
+            pending.asked += 1;
+            let number = pending.asked;
+            pending.waiters.push(Waiter { number, since, kept });
+        }
+        let first = pending.states.len() == 1;
+        drop(pending);
+        if urgent || first {
+            self.wake.notify_one();
+        }
+    }
+}
+
+/// Notes in the same store: of recordings that were found whole, and of data health.
+pub struct Notes(Arc<Shared>);
+
+impl Notes {
+    /// A recording was found whole; `look` says by what it is recognised.
+    pub fn verified(&self, file: &str, look: &str) {
+        self.0.put(key_of_verified(file), Some(look.into()), None);
+    }
+
+    /// What data health remembers under a prefix.
+    pub fn data_health(&self, prefix: &str, json: Vec<u8>) {
+        self.0.put(key_of_data_health(prefix), Some(json), None);
+    }
+
+    /// A recording is gone.
+    pub fn forget_verified(&self, file: &str) {
+        self.0.put(key_of_verified(file), None, None);
+    }
+}
+
+/// The end that writes.
+pub struct Worker {
+    path: PathBuf,
+    store: Option<StateStore>,
+    disk: Arc<dyn Disk>,
+    shared: Arc<Shared>,
+    faults: Arc<Faults>,
+    metrics: Arc<Metrics>,
+}
+
+impl Worker {
+    fn run(&mut self) {
+        loop {
+            let batch = self.next();
+            let is_last = batch.is_last;
+            let documents = self.shared.mark.wait(batch.after);
+            let saved = self.settle(batch, &documents);
+            if is_last {
+                return;
+            }
+            if !saved {
+                self.pause();
+            }
+        }
+    }
+
+    /// Stores what waits now, without waiting for more; says whether it could. What comes after documents that are not stored
+    /// waits for the next turn.
+    pub fn turn(&mut self) -> bool {
+        let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(documents) = self.shared.mark.look(pending.after) else { return true };
+        let batch = pending.take();
+        drop(pending);
+        self.settle(batch, &documents)
+    }
+
+    /// States that wait.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner).states.len()
+    }
+
+    /// Stores states and tells whoever waits for them, also what has become of the documents before them.
+    fn settle(&mut self, Batch { states, asked, .. }: Batch, documents: &Result<(), String>) -> bool {
+        let saved = if states.is_empty() { self.reopen() } else { self.save(&states) };
+        match &saved {
+            Ok(()) => self.faults.clear(FAULT),
+            Err(why) => {
+                self.metrics.state_errors.inc();
+                self.faults.raise(FAULT, format!("alarm states cannot be stored: {why}"));
+                self.put_back(states);
+            }
+        }
+        for waiter in self.shared.take_waiters(|waiter| waiter.number <= asked) {
+            (waiter.kept)(saved.clone().and_then(|()| documents.clone()));
+        }
+        saved.is_ok()
+    }
+
+    /// Waits for states, then a little for more of them unless somebody waits for an answer.
+    fn next(&self) -> Batch {
+        let idle_still = |p: &Pending| p.states.is_empty() && !p.closed;
+        let idle = |p: &mut Pending| idle_still(p);
+        let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        let pending = if self.store.is_some() {
+            self.shared.wake.wait_while(pending, idle).unwrap_or_else(PoisonError::into_inner)
+        } else {
+            // A store that could not be opened is tried again though nobody asks: else its fault would outlive its cause.
+            let waited = self.shared.wake.wait_timeout_while(pending, RETRY, idle);
+            waited.unwrap_or_else(PoisonError::into_inner).0
+        };
+        if idle_still(&pending) {
+            return Batch { states: BTreeMap::new(), asked: 0, after: 0, is_last: false };
+        }
+        let gathering = |p: &mut Pending| p.waiters.is_empty() && !p.closed;
+        let (mut pending, _) =
+            self.shared.wake.wait_timeout_while(pending, GATHER, gathering).unwrap_or_else(PoisonError::into_inner);
+        pending.take()
+    }
+
+    /// Opens the store where it is not open.
+    fn reopen(&mut self) -> Result<(), String> {
+        if self.store.is_none() {
+            self.store = Some(self.open()?);
+        }
+        Ok(())
+    }
+
+    /// Opens the store. What it lacks of the loops' states, because it is a new one, comes again.
+    fn open(&self) -> Result<StateStore, String> {
+        let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+        let (store, _) = open_store(self.disk.as_ref(), folder, &self.faults, &self.metrics)?;
+        self.shared.wants_all.store(true, Ordering::Relaxed);
+        Ok(store)
+    }
+
+    fn save(&mut self, states: &States) -> Result<(), String> {
+        // A folder that was taken away takes the store along: what is written then goes nowhere.
+        if self.store.as_ref().is_some_and(|store| !store.is_linked()) {
+            self.store = None;
+        }
+        let store = match self.store.take() {
+            Some(store) => store,
+            None => self.open()?,
+        };
+        let kept = states.iter().filter_map(|(key, json)| Some((key.as_str(), json.as_ref()?.as_slice())));
+        let gone = states.iter().filter(|(_, json)| json.is_none()).map(|(key, _)| key.as_str());
+        store.change(kept, gone).map_err(|e| e.to_string())?;
+        self.metrics.states_stored.inc_by(states.len() as u64);
+        // After an error it is opened anew.
+        self.store = Some(store);
+        Ok(())
+    }
+
+    /// What could not be stored waits on, unless something newer has come.
+    fn put_back(&self, states: States) {
+        let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        for (key, json) in states {
+            pending.states.entry(key).or_insert(json);
+        }
+    }
+
+    /// Waits before the next attempt; somebody who asks is told at once.
+    fn pause(&self) {
+        let calm = |p: &mut Pending| p.waiters.is_empty() && !p.closed;
+        let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        drop(self.shared.wake.wait_timeout_while(pending, RETRY, calm));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use stiction_files::disk::SystemDisk;
+    use stiction_files::lock::{FolderLock, LockedDisk, SharedLock};
+
+    fn keeper(dir: &Path) -> (Keeper, JoinHandle<()>, Arc<Faults>) {
+        let faults = Arc::new(Faults::default());
+        let (keeper, thread) =
+            Keeper::start(dir, "p", (None, Mark::default()), Arc::new(SystemDisk), faults.clone(), Arc::default())
+                .unwrap();
+        (keeper, thread, faults)
+    }
+
+    fn asked(keeper: &Keeper, json: &str) -> Result<(), String> {
+        let (tell, told) = std::sync::mpsc::channel();
+        keeper.keep_then("A", json.into(), Instant::now(), Box::new(move |kept| tell.send(kept).unwrap()));
+        told.recv().unwrap()
+    }
+
+    #[test]
+    fn an_answer_means_that_it_is_on_the_disk_and_the_newest_state_stands() {
+        let dir = tempfile::tempdir().unwrap();
+        let (keeper, thread, faults) = keeper(dir.path());
+        keeper.keep("B", b"1".to_vec());
+        asked(&keeper, "1").unwrap();
+        asked(&keeper, "2").unwrap();
+        let copy = dir.path().join("copy");
+        std::fs::copy(dir.path().join(STORE_NAME), &copy).unwrap();
+        let stored = StateStore::open(&copy).unwrap().load().unwrap().values;
+        assert_eq!((stored["p\nA"].as_slice(), stored["p\nB"].as_slice()), (b"2".as_slice(), b"1".as_slice()));
+        assert!(faults.list().is_empty());
+        drop(keeper);
+        thread.join().unwrap();
+    }
+
+    #[test]
+    fn of_a_loop_that_has_left_nothing_is_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let (keeper, thread, _) = keeper(dir.path());
+        keeper.keep("B", b"1".to_vec());
+        asked(&keeper, "1").unwrap();
+        keeper.forget("B");
+        asked(&keeper, "2").unwrap();
+        drop(keeper);
+        thread.join().unwrap();
+        let stored = StateStore::open(&dir.path().join(STORE_NAME)).unwrap().load().unwrap().values;
+        assert_eq!(stored.keys().collect::<Vec<_>>(), ["p\nA"]);
+    }
+
+    #[test]
+    fn while_the_disk_refuses_people_are_told_and_nothing_is_forgotten() {
+        let dir = tempfile::tempdir().unwrap();
+        // A file where the folder should be.
+        let place = dir.path().join("rec");
+        std::fs::write(&place, b"").unwrap();
+        let (keeper, thread, faults) = keeper(&place);
+        assert!(asked(&keeper, "1").is_err());
+        assert_eq!(faults.list().len(), 1);
+        keeper.keep("B", b"7".to_vec());
+        std::fs::remove_file(&place).unwrap();
+        asked(&keeper, "2").unwrap();
+        drop(keeper);
+        thread.join().unwrap();
+        assert!(faults.list().is_empty());
+        let stored = StateStore::open(&place.join(STORE_NAME)).unwrap().load().unwrap().values;
+        assert_eq!((stored["p\nA"].as_slice(), stored["p\nB"].as_slice()), (b"2".as_slice(), b"7".as_slice()));
+    }
+
+    #[test]
+    fn a_folder_that_was_taken_away_is_made_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let place = dir.path().join("rec");
+        let (keeper, thread, _) = keeper(&place);
+        asked(&keeper, "1").unwrap();
+        assert!(
+            keeper.wants_all() && !keeper.wants_all(),
+            "a store that was not there lacks what others may have held"
+        );
+        std::fs::remove_dir_all(&place).unwrap();
+        asked(&keeper, "2").unwrap();
+        assert!(keeper.wants_all() && !keeper.wants_all());
+        drop(keeper);
+        thread.join().unwrap();
+        let stored = StateStore::open(&place.join(STORE_NAME)).unwrap().load().unwrap().values;
+        assert_eq!(stored["p\nA"], b"2");
+    }
+
+    #[test]
+    fn a_folder_that_was_moved_away_and_is_held_by_another_daemon_keeps_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let place = dir.path().join("rec");
+        std::fs::create_dir(&place).unwrap();
+        let disk = Arc::new(LockedDisk::new(SharedLock::new(Some(FolderLock::take(&place).unwrap()))));
+        let faults = Arc::new(Faults::default());
+        let (keeper, thread) =
+            Keeper::start(&place, "p", (None, Mark::default()), disk, faults.clone(), Arc::default()).unwrap();
+        asked(&keeper, "1").unwrap();
+        std::fs::rename(&place, dir.path().join("moved")).unwrap();
+        std::fs::create_dir(&place).unwrap();
+        let other = FolderLock::take(&place).unwrap();
+        let theirs = StateStore::open(&place.join(STORE_NAME)).unwrap();
+        assert!(asked(&keeper, "2").unwrap_err().contains("running daemon"));
+        assert!(theirs.load().unwrap().values.is_empty() && faults.list().len() == 1);
+        drop((theirs, other));
+        asked(&keeper, "3").unwrap();
+        assert!(faults.list().is_empty());
+        drop(keeper);
+        thread.join().unwrap();
+    }
+}

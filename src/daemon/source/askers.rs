@@ -1,0 +1,168 @@
+//! Who asks over the bus, how many of its questions may wait at a time, and how often it may command.
+//!
+//! Zenoh does not say who sent a query. It reads each link in a task of its own and calls queryables from there, so the
+//! task names the link. Clients behind one router share its link.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use crate::runtime::queue::Rate;
+use stiction_engine::config::Commands;
+
+/// Queries that may wait at a time.
+pub const WAITING: usize = 1024;
+/// Those of them that may have come by one link.
+pub const WAITING_PER_LINK: usize = 256;
+/// Part of what all may command that one link may.
+const SHARE_PER_LINK: f64 = 0.5;
+/// Links that are remembered before those that have nothing waiting are looked through.
+const REMEMBERED: usize = 256;
+
+/// A link of the bus.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Link(pub u64);
+
+impl Link {
+    /// The link whose message is being taken on this thread.
+    #[must_use]
+    pub fn current() -> Self {
+        Self(tokio::task::try_id().and_then(|id| id.to_string().parse().ok()).unwrap_or(0))
+    }
+}
+
+#[derive(Debug)]
+struct Asker {
+    waiting: usize,
+    commands: Rate,
+    /// When it last commanded, s; minus infinity if never.
+    at_s: f64,
+}
+
+#[derive(Debug, Default)]
+struct Inner {
+    links: HashMap<Link, Asker>,
+    waiting: usize,
+    per_minute: f64,
+}
+
+/// All who ask. Copies are the same ones.
+#[derive(Debug, Clone, Default)]
+pub struct Askers(Arc<Mutex<Inner>>);
+
+/// The place of a query that waits; free again when dropped.
+#[derive(Debug)]
+pub struct WaitingSlot {
+    askers: Askers,
+    link: Link,
+}
+
+impl Askers {
+    /// Nobody yet, under these settings.
+    #[must_use]
+    pub fn new(settings: &Commands) -> Self {
+        let askers = Self::default();
+        askers.limit(settings);
+        askers
+    }
+
+    /// These settings apply from now on, to links that have not commanded yet too.
+    pub fn limit(&self, settings: &Commands) {
+        let mut inner = self.lock();
+        inner.per_minute = f64::from(settings.per_minute);
+        let fresh = inner.rate();
+        inner.links.values_mut().for_each(|asker| asker.commands = fresh);
+    }
+
+    /// A place for one more query of a link; none where it, or all together, have as many as may wait.
+    #[must_use]
+    pub fn admit(&self, link: Link) -> Option<WaitingSlot> {
+        let mut inner = self.lock();
+        if inner.waiting >= WAITING || inner.asker(link).waiting >= WAITING_PER_LINK {
+            return None;
+        }
+        inner.waiting += 1;
+        inner.asker(link).waiting += 1;
+        Some(WaitingSlot { askers: self.clone(), link })
+    }
+
+    /// Whether a link may command now, at this time since the start.
+    pub fn may_command(&self, link: Link, now: Duration) -> bool {
+        let mut inner = self.lock();
+        let asker = inner.asker(link);
+        asker.at_s = now.as_secs_f64();
+        asker.commands.allow(asker.at_s)
+    }
+
+    /// Queries that wait.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.lock().waiting
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, Inner> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Inner {
+    fn rate(&self) -> Rate {
+        let share = SHARE_PER_LINK * self.per_minute;
+        Rate::new(share / 60.0, (0.5 * share).max(1.0))
+    }
+
+    fn asker(&mut self, link: Link) -> &mut Asker {
+        if self.links.len() >= REMEMBERED && !self.links.contains_key(&link) {
+            // A minute restores what a link may command, so nothing is lost with it.
+            let newest_s = self.links.values().map(|asker| asker.at_s).fold(0.0, f64::max);
+            self.links.retain(|_, asker| asker.waiting > 0 || asker.at_s > newest_s - 60.0);
+        }
+        let commands = self.rate();
+        self.links.entry(link).or_insert(Asker { waiting: 0, commands, at_s: f64::NEG_INFINITY })
+    }
+}
+
+impl WaitingSlot {
+    /// The link that it belongs to.
+    #[must_use]
+    pub const fn link(&self) -> Link {
+        self.link
+    }
+}
+
+impl Drop for WaitingSlot {
+    fn drop(&mut self) {
+        let mut inner = self.askers.lock();
+        inner.waiting -= 1;
+        inner.asker(self.link).waiting -= 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_link_takes_its_share_of_the_places_and_gives_them_back() {
+        let askers = Askers::new(&Commands::default());
+        let flood: Vec<WaitingSlot> = (0..5000).filter_map(|_| askers.admit(Link(1))).collect();
+        assert_eq!(flood.len(), WAITING_PER_LINK);
+        assert!(askers.admit(Link(2)).is_some());
+        let others: Vec<WaitingSlot> =
+            (3..100).flat_map(|link| (0..50).map(move |_| link)).filter_map(|l| askers.admit(Link(l))).collect();
+        assert_eq!((others.len(), askers.waiting()), (WAITING - WAITING_PER_LINK, WAITING));
+        drop((flood, others));
+        assert_eq!(askers.waiting(), 0);
+        (0..10_000).for_each(|link| drop(askers.admit(Link(link))));
+        assert!(askers.lock().links.len() <= REMEMBERED);
+    }
+
+    #[test]
+    fn one_link_commands_at_half_the_pace_of_all_and_leaves_the_rest_to_others() {
+        let askers = Askers::new(&Commands { per_minute: 60, ..Commands::default() });
+        let taken = |link, at_s| (0..100).filter(|_| askers.may_command(Link(link), Duration::from_secs(at_s))).count();
+        assert_eq!((taken(1, 0), taken(1, 10), taken(2, 10)), (15, 5, 15));
+        askers.limit(&Commands { per_minute: 120, ..Commands::default() });
+        assert_eq!(taken(1, 10), 30);
+    }
+}

@@ -1,0 +1,92 @@
+//! A report in the making: gathers what was analysed, then computes the detailed pictures.
+
+use super::detail::Detail;
+use super::diagram::Tags;
+use super::{IN_FULL, LoopReport, Report};
+use crate::runtime::cores::{Watch, in_order};
+use stiction::core::plantwide::GroupDocument;
+use stiction::core::record::Record;
+use stiction::core::verdict::{AssessParams, EstimateDocument};
+use stiction_files::About;
+
+/// One loop's or section's part of a report.
+#[derive(Debug)]
+pub struct Analysed {
+    /// The record that was analysed.
+    pub record: Record,
+    /// The section as recorded, where the analysed one was downsampled.
+    pub original: Option<Record>,
+    /// What the file says of the loop.
+    pub about: Option<About>,
+    /// Units of OP and PV, where the file says them.
+    pub units: [Option<String>; 2],
+    /// What the fit was told.
+    pub params: AssessParams,
+    /// What a reader of the data should know, one line each.
+    pub notes: Vec<String>,
+}
+
+/// A report in the making.
+#[derive(Debug, Default)]
+pub struct Maker {
+    all: bool,
+    units: [Option<String>; 2],
+    /// What went wrong on the way.
+    pub warnings: Vec<String>,
+    /// The groups that were found, where the loops were compared.
+    pub groups: Option<Vec<GroupDocument>>,
+    loops: Vec<(LoopReport, AssessParams)>,
+}
+
+impl Maker {
+    /// A report without loops. `all` draws every loop in full, not only the most urgent; `units` of OP and PV go before
+    /// the file's.
+    #[must_use]
+    pub fn new(all: bool, units: [Option<String>; 2]) -> Self {
+        Self { all, units, ..Self::default() }
+    }
+
+    /// Adds what was made of one loop or section.
+    pub fn add(&mut self, document: EstimateDocument, of: Analysed) {
+        let Analysed { record, original, about, units, params, notes } = of;
+        let mut tags = Tags::of_loop(&document.loop_name, record.sp.is_some(), record.mv.is_some());
+        let mut comment = None;
+        if let Some(About { tags: [op, pv], comment: noted, .. }) = about {
+            (tags.op, tags.pv) = (op, pv);
+            comment = Some(noted).filter(|c| !c.trim().is_empty());
+        }
+        for ((unit, said), found) in tags.units.iter_mut().zip(&self.units).zip(&units) {
+            if let Some(known) = said.as_ref().or(found.as_ref()) {
+                unit.clone_from(known);
+            }
+        }
+        let one = LoopReport { notes, document, record, original, tags, comment, full: self.all, detail: None };
+        self.loops.push((one, params));
+    }
+
+    /// Computes the detailed pictures on all cores. `input` and `command` are what the page says of its origin. Where
+    /// `watch` ends it early, loops lack theirs and are shown in short.
+    pub fn finish(self, input: String, command: String, watch: &dyn Watch) -> Report {
+        let (loops, params): (Vec<LoopReport>, Vec<AssessParams>) = self.loops.into_iter().unzip();
+        let mut report = Report { input, command, warnings: self.warnings, loops, groups: self.groups };
+        let mut chosen: Vec<usize> =
+            report.by_urgency().into_iter().filter(|k| report.loops[*k].document.assessment.s.is_some()).collect();
+        chosen.truncate(if self.all { usize::MAX } else { IN_FULL });
+        let work = |k: &usize| {
+            let one = &report.loops[*k];
+            (*k, Detail::of(&one.record, &params[*k], &one.document.assessment))
+        };
+        let mut details = Vec::with_capacity(chosen.len());
+        let keep = |(k, detail): (usize, Option<Detail>)| {
+            details.push((k, detail));
+            watch.reached(details.len() as u64, chosen.len() as u64, "pictures");
+            Ok::<(), std::convert::Infallible>(())
+        };
+        // Keeping cannot fail.
+        let Ok(()) = in_order(&chosen, &|| watch.go_on(), work, keep);
+        for (k, detail) in details {
+            report.loops[k].detail = detail;
+        }
+        report
+    }
+}

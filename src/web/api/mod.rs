@@ -1,0 +1,256 @@
+//! The API of a running daemon.
+
+mod alarms;
+mod curves;
+mod events;
+mod groups;
+mod listed;
+mod loops;
+mod maintenance;
+mod obstacles;
+mod over_time;
+mod past;
+mod reviews;
+pub mod site;
+mod threads;
+mod window;
+mod worth;
+
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::extract::DefaultBodyLimit;
+use axum::http::StatusCode;
+use axum::{Json, Router};
+use bytes::Bytes;
+use crossbeam_channel::Sender;
+use tokio::sync::{Semaphore, oneshot};
+
+use self::threads::Threads;
+use super::error::ApiError;
+use super::guard::Guard;
+use super::server::Limits;
+use super::table::{self, Operation, Parameter, ResponseKind, of};
+use crate::runtime::clock::now_ns;
+use crate::runtime::control::{Answer, Control, WindowSnapshot};
+use crate::runtime::health::HealthSnapshot;
+use crate::runtime::last_values::LastValues;
+use crate::runtime::overview::Overview;
+use crate::runtime::queue::Rate;
+use crate::runtime::view::{CurrentConfig, View};
+use stiction::core::record::Record;
+use stiction_engine::codec::topic::{self, Kind};
+use stiction_engine::engine::LoopSettings;
+use stiction_files::archive::{Archive, SharedArchive};
+use stiction_files::reviews::Reviews;
+
+/// Largest body of a command, bytes.
+const MAX_BODY: usize = 16 << 10;
+/// How long the engine may take for an answer; a diagnosis takes longer.
+const ENGINE_WITHIN: Duration = Duration::from_secs(10);
+/// Threads that read recordings, that read or write the folder of reviews, that compute, and that draw, which takes seconds.
+/// Those that wait for a disk are apart from those that take a core from the fits: a folder may hang.
+const LOOKS_AT_ONCE: usize = 2;
+const REVIEWS_AT_ONCE: usize = 1;
+const COMPUTATIONS_AT_ONCE: usize = 2;
+const DRAWINGS_AT_ONCE: usize = 1;
+/// How long somebody waits for a disk, with those before, and for what takes a core.
+const DISK_WITHIN: Duration = Duration::from_secs(30);
+const CORE_WITHIN: Duration = Duration::from_secs(55);
+/// Windows that the engine is asked for at a time, and requests that may wait for one beside the streams.
+const WINDOWS_AT_ONCE: usize = 2;
+const WINDOWS_WAITING: usize = 8;
+/// Streams at a time, and how many of them one host may hold.
+const STREAMS: usize = 64;
+const STREAMS_PER_HOST: usize = 32;
+
+/// What a running daemon answers from.
+pub struct Live {
+    /// Every loop as it is now.
+    pub overview: Overview,
+    /// Last documents as they were published.
+    pub last: LastValues,
+    /// The way to the engine.
+    pub control: Sender<Control>,
+    /// The daemon's health.
+    pub snapshot: HealthSnapshot,
+    /// What was recorded.
+    pub archive: SharedArchive,
+    /// What people found.
+    pub reviews: Reviews,
+    /// Who may do what.
+    pub guard: Arc<Guard>,
+    /// The configuration in force.
+    pub config: CurrentConfig,
+    /// When the daemon started, ns since 1970.
+    pub started_ns: i64,
+    /// What to know of the data before anything else.
+    pub note: Option<&'static str>,
+    worth: worth::Worth,
+    review_rate: Mutex<Rate>,
+    started: Instant,
+    looks: Threads,
+    at_reviews: Threads,
+    computations: Threads,
+    drawings: Threads,
+    windows: Semaphore,
+    windows_waiting: Semaphore,
+    streams: Arc<Limits>,
+}
+
+/// A loop's window, as it was when somebody looked.
+struct Looked {
+    /// `None` where nothing is held, or no longer.
+    record: Option<Record>,
+    settings: Arc<LoopSettings>,
+}
+
+/// The state of every handler.
+pub type Shared = Arc<Live>;
+
+/// What a handler gives.
+pub type Answered<T> = Result<Json<T>, ApiError>;
+
+impl Live {
+    /// Answers from a view with these loops, under these rules.
+    #[must_use]
+    pub fn new(view: View, overview: Overview, guard: Arc<Guard>) -> Self {
+        let View { config, last, control, snapshot, note, .. } = view;
+        let fixed = config.get();
+        let recordings = Path::new(&fixed.recording.dir);
+        let archive = Arc::new(Archive::new(recordings, &fixed.site.prefix));
+        let reviews = Reviews::below(recordings);
+        let streams = Limits::new(STREAMS, if guard.behind_proxy { STREAMS } else { STREAMS_PER_HOST });
+        let started_ns = now_ns();
+        let review_rate = Mutex::new(Rate::new(reviews::PER_MINUTE / 60.0, reviews::AT_ONCE));
+        Self {
+            worth: worth::Worth::default(),
+            review_rate,
+            started: Instant::now(),
+            overview,
+            last,
+            control,
+            snapshot,
+            archive,
+            reviews,
+            guard,
+            config,
+            started_ns,
+            note,
+            looks: Threads::new(LOOKS_AT_ONCE, DISK_WITHIN),
+            at_reviews: Threads::new(REVIEWS_AT_ONCE, DISK_WITHIN),
+            computations: Threads::new(COMPUTATIONS_AT_ONCE, CORE_WITHIN),
+            drawings: Threads::new(DRAWINGS_AT_ONCE, CORE_WITHIN),
+            windows: Semaphore::new(WINDOWS_AT_ONCE),
+            windows_waiting: Semaphore::new(WINDOWS_WAITING),
+            streams,
+        }
+    }
+
+    /// Whether commands are taken at all.
+    fn takes_commands(&self) -> bool {
+        self.config.get().commands.enabled
+    }
+
+    /// Whether one more review may be taken now.
+    fn allow_review(&self) -> bool {
+        let mut rate = self.review_rate.lock().unwrap_or_else(PoisonError::into_inner);
+        rate.allow(self.started.elapsed().as_secs_f64())
+    }
+
+    /// The last document of a loop as it was published.
+    fn last_document(&self, loop_name: &str, kind: Kind) -> Option<serde_json::Value> {
+        serde_json::from_slice(&self.last_bytes(loop_name, kind)?).ok()
+    }
+
+    /// The JSON of the last document of a loop.
+    fn last_bytes(&self, loop_name: &str, kind: Kind) -> Option<Bytes> {
+        let key = topic::result(&self.config.get().site.prefix, loop_name, kind);
+        let last = self.last.read().unwrap_or_else(PoisonError::into_inner);
+        Some(last.get(&key)?.document.clone())
+    }
+
+    /// Refuses what another daemon has to be asked for.
+    fn check_shard(&self, loop_name: &str) -> Result<(), ApiError> {
+        if self.config.get().shard.owns(loop_name) {
+            return Ok(());
+        }
+        let why = "is of another [shard], whose daemon has to be asked; this one does not watch it";
+        Err(ApiError::not_found(format!("{loop_name:?} {why}")))
+    }
+
+    /// A loop's window for a request: refused where too many wait for one.
+    async fn request_window(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
+        let busy = |_| ApiError::busy("too many requests for windows wait already: try again in a moment");
+        let _waiting = self.windows_waiting.try_acquire().map_err(busy)?;
+        self.look(loop_name, end_ns).await
+    }
+
+    /// The same for a stream, which waits for its turn: there are few. The engine hands out its history, and the window is
+    /// cut on a thread of the page's own.
+    async fn look(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
+        let ending = |_| ApiError::busy("the daemon is stopping");
+        let _place = self.windows.acquire().await.map_err(ending)?;
+        let (tell, told) = oneshot::channel();
+        let answer = Box::new(move |window| drop(tell.send(window)));
+        self.ask(Control::GetWindow { loop_name: loop_name.to_owned(), end_ns, answer })?;
+        let window: Option<WindowSnapshot> = within(ENGINE_WITHIN, told).await?;
+        let unknown = || ApiError::not_found(format!("no loop {loop_name:?} has appeared"));
+        let WindowSnapshot { snapshot, settings } = window.ok_or_else(unknown)?;
+        self.computations
+            .run(move || {
+                let record = snapshot.and_then(|snapshot| snapshot.record(&settings.window));
+                Looked { record, settings }
+            })
+            .await
+    }
+
+    /// A person's wish, answered by a document or by what is wrong with it.
+    async fn wish(
+        &self,
+        patience: Duration,
+        wish: impl FnOnce(Answer) -> Control,
+    ) -> Result<serde_json::Value, ApiError> {
+        let (tell, told) = oneshot::channel();
+        self.ask(wish(Box::new(move |result| drop(tell.send(result)))))?;
+        let document = within(patience, told).await?.map_err(ApiError::unfit)?;
+        serde_json::from_slice(&document).map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))
+    }
+
+    fn ask(&self, wish: Control) -> Result<(), ApiError> {
+        self.control.try_send(wish).map_err(|_| ApiError::busy("the daemon is too busy to answer: try again"))
+    }
+}
+
+async fn within<T>(patience: Duration, told: oneshot::Receiver<T>) -> Result<T, ApiError> {
+    let late = || ApiError::new(StatusCode::GATEWAY_TIMEOUT, "the engine did not answer in time: try again");
+    let ended = |_| ApiError::busy("the daemon ended before it answered");
+    tokio::time::timeout(patience, told).await.map_err(|_| late())?.map_err(ended)
+}
+
+/// Every operation of a running daemon.
+#[must_use]
+pub fn operations() -> Vec<Operation<Shared>> {
+    [
+        site::operations(),
+        loops::operations(),
+        window::operations(),
+        past::operations(),
+        over_time::operations(),
+        reviews::operations(),
+        alarms::operations(),
+        events::operations(),
+        groups::operations(),
+        obstacles::operations(),
+        maintenance::operations(),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
+}
+
+/// The API of a running daemon.
+pub fn live(state: Shared) -> Router {
+    table::router(&operations()).layer(DefaultBodyLimit::max(MAX_BODY)).with_state(state)
+}

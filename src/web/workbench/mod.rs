@@ -1,0 +1,98 @@
+//! Files looked at by hand: opened or uploaded, cut into sections, estimated and diagnosed as the commands do it.
+//!
+//! [`shelf`] keeps files, [`upload`] takes them, [`record`] draws from them; [`request`] says what may be asked,
+//! [`preview`] shows the data that it would use, [`jobs`] queues it, [`work`] does it, [`documents`] tells it; [`choices`] lists everything that can be chosen;
+//! [`serve`] serves the page.
+//!
+//! The daemon has no part in this: `stictiond workbench` is a process of its own, so that whatever a file does to the
+//! program that reads it, the plant is still watched.
+
+mod alone;
+mod choices;
+mod documents;
+mod fault;
+mod jobs;
+mod names;
+mod preview;
+mod reading;
+mod record;
+mod request;
+mod routes;
+mod sampling;
+mod shelf;
+mod upload;
+mod work;
+
+use std::sync::Arc;
+
+use axum::Router;
+use tokio::sync::Semaphore;
+
+use crate::web::table;
+use jobs::Jobs;
+use shelf::{Limits, Shelf};
+use stiction_files::ReadOptions;
+use stiction_files::inputs::Unit;
+
+pub use alone::serve;
+pub use fault::Fault;
+pub use reading::{OPTIONS, ReadingWords};
+pub use routes::operations;
+
+/// Streams of jobs at a time.
+const STREAMS: usize = 32;
+/// Records drawn at a time: each takes memory for its whole loop.
+const DRAWN: usize = 4;
+
+/// Files and jobs.
+pub struct Workbench {
+    shelf: Arc<Shelf>,
+    jobs: Arc<Jobs>,
+    uploads: Semaphore,
+    streams: Arc<Semaphore>,
+    drawing: Semaphore,
+}
+
+/// The state of every handler.
+pub type Bench = Arc<Workbench>;
+
+impl Workbench {
+    /// An empty one; its threads wait for jobs until it is dropped.
+    #[must_use]
+    pub fn start() -> Bench {
+        let shelf = Arc::new(Shelf::new(Limits::default()));
+        let files = shelf.clone();
+        Arc::new(Self {
+            jobs: Jobs::start(move |job| work::run(job, &files)),
+            shelf,
+            uploads: Semaphore::new(upload::AT_A_TIME),
+            streams: Arc::new(Semaphore::new(STREAMS)),
+            drawing: Semaphore::new(DRAWN),
+        })
+    }
+
+    /// Opens files of this machine. `words` are the reading options as they were written.
+    ///
+    /// # Errors
+    /// They cannot be read.
+    pub fn open(&self, unit: Unit, options: ReadOptions, words: ReadingWords) -> Result<usize, Fault> {
+        self.shelf.give(unit, options, words).map(|info| info.loops.len())
+    }
+
+    /// Cancels what is under way and removes what was uploaded.
+    pub fn close(&self) {
+        self.jobs.end();
+        self.shelf.clear();
+    }
+}
+
+impl Drop for Workbench {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+/// Everything under `/workbench`.
+pub fn router(bench: Bench) -> Router {
+    table::router(&operations()).with_state(bench)
+}
