@@ -223,50 +223,9 @@ fn short(name: &str) -> String {
     name.chars().take(60).collect()
 }
 
-/// A timestamp in s, ms, us or ns since 1970, recognised by its size. Between 1975 and 2128 this is unambiguous; other times
-/// are rejected.
-pub(super) fn stamp_ns(number: f64) -> Option<i64> {
-    let per_unit = match number {
-        n if (1.5e8..5e9).contains(&n) => 1e9,
-        n if (1.5e11..5e12).contains(&n) => 1e6,
-        n if (1.5e14..5e15).contains(&n) => 1e3,
-        n if (1.5e17..5e18).contains(&n) => 1.0,
-        _ => return None,
-    };
-    // Whole numbers up to 2^53 stay exact; what is larger is in ns already, and was never more exact than its sender.
-    Some((number * per_unit).round() as i64)
-}
-
-/// The same for an integer, exactly.
-pub(super) fn stamp_ns_of(number: i64) -> Option<i64> {
-    let per_unit = match number {
-        150_000_000..5_000_000_000 => 1_000_000_000,
-        150_000_000_000..5_000_000_000_000 => 1_000_000,
-        150_000_000_000_000..5_000_000_000_000_000 => 1_000,
-        150_000_000_000_000_000..5_000_000_000_000_000_000 => 1,
-        _ => return None,
-    };
-    Some(number * per_unit)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn stamps_tell_their_unit_by_their_size() {
-        for (number, ns) in [
-            (1_546_300_800, 1_546_300_800_000_000_000),
-            (1_546_300_800_250, 1_546_300_800_250_000_000),
-            (1_546_300_800_250_001, 1_546_300_800_250_001_000),
-            (1_546_300_800_250_001_003, 1_546_300_800_250_001_003),
-        ] {
-            assert_eq!(stamp_ns_of(number), Some(ns));
-        }
-        assert_eq!(stamp_ns(1_546_300_800.5), Some(1_546_300_800_500_000_000));
-        assert!([0, 43_466, 60_000_000_000, -5, i64::MAX].iter().all(|n| stamp_ns_of(*n).is_none()));
-        assert!(stamp_ns(f64::NAN).is_none());
-    }
 
     #[test]
     fn statuses_read_the_same_under_both_conventions() {

@@ -13,7 +13,6 @@ mod pubsub;
 mod recorded;
 mod samples;
 mod sparkplug;
-mod telegraf;
 pub mod topic;
 
 pub use cbor::Cbor;
@@ -23,7 +22,6 @@ pub use json::Json;
 pub use pubsub::PubSub;
 pub use recorded::{decode_recorded, encode_recorded};
 pub use sparkplug::Sparkplug;
-pub use telegraf::{LineProtocol, TelegrafJson};
 
 use stiction::core::record::{Sample, Signal};
 use thiserror::Error;
@@ -72,7 +70,7 @@ pub trait Codec: Sync {
 }
 
 /// All formats in the order of recognition: those with distinctive marks first.
-pub static ALL: [&dyn Codec; 7] = [&Cbor, &F64Le, &PubSub, &TelegrafJson, &LineProtocol, &Json, &Sparkplug];
+pub static ALL: [&dyn Codec; 5] = [&Cbor, &F64Le, &PubSub, &Json, &Sparkplug];
 
 /// The names of all formats.
 #[must_use]

@@ -45,14 +45,14 @@ impl Codec for PubSub {
 }
 
 /// Whether JSON may contain words for names: not if its first is a letter, as for single samples.
-pub(super) fn has_names(payload: &[u8]) -> bool {
+fn has_names(payload: &[u8]) -> bool {
     let starts = payload.iter().find(|b| !b.is_ascii_whitespace()).is_some_and(|b| b"[{".contains(b));
     let first = payload.iter().position(|b| *b == b'"');
     starts && first.is_some_and(|at| payload.get(at + 2).is_some_and(|b| *b != b'"'))
 }
 
 /// Whether a payload contains some bytes.
-pub(super) fn has(payload: &[u8], wanted: &[u8]) -> bool {
+fn has(payload: &[u8], wanted: &[u8]) -> bool {
     payload.windows(wanted.len()).any(|window| window == wanted)
 }
 

@@ -82,6 +82,6 @@ mod tests {
         let faults = Config::parse(bad).unwrap_err();
         let seen: Vec<&str> = faults.iter().map(|f| f.key.as_str()).collect();
         assert_eq!(seen, ["bundle[0].key", "bundle[1].key", "bundle[1].codec", "loop[0].op"]);
-        assert!(faults.iter().any(|f| f.remedy.contains("line-protocol")), "{faults:?}");
+        assert!(faults.iter().any(|f| f.remedy.contains("sparkplug-b")), "{faults:?}");
     }
 }
