@@ -244,16 +244,21 @@ pub fn plane(rest: &str) -> String {
 
 /// The first answer to a query, or the first error.
 pub fn ask(bus: &zenoh::Session, selector: &str) -> Result<Value, String> {
-    let replies = bus.get(selector).timeout(Duration::from_secs(300)).wait().unwrap();
+    ask_within(bus, selector, Duration::from_secs(300))
+}
+
+fn ask_within(bus: &zenoh::Session, selector: &str, within: Duration) -> Result<Value, String> {
+    let replies = bus.get(selector).timeout(within).wait().unwrap();
     match replies.recv().map_err(|_| "no answer".to_owned())?.into_result() {
         Ok(sample) => Ok(serde_json::from_slice(&sample.payload().to_bytes()).unwrap()),
         Err(error) => Err(String::from_utf8(error.payload().to_bytes().to_vec()).unwrap()),
     }
 }
 
-/// The state of the alarm of FIC101, as queries say it.
-pub fn alarm_state(bus: &zenoh::Session) -> String {
-    ask(bus, &plane("FIC101/alarm")).map_or_else(|e| e, |d| d["state"].as_str().unwrap().to_owned())
+/// The state of the alarm of FIC101, as queries say it; none where the daemon does not answer yet.
+pub fn alarm_state(bus: &zenoh::Session) -> Option<String> {
+    let document = ask_within(bus, &plane("FIC101/alarm"), Duration::from_secs(20)).ok()?;
+    Some(document["state"].as_str().unwrap().to_owned())
 }
 
 /// A daemon whose alarm on FIC101 is raised.
@@ -268,7 +273,7 @@ pub fn alarmed(dir: &Path) -> Daemon {
 pub fn state_after_restart(dir: &Path) -> String {
     let daemon = Daemon::start(dir, FAST);
     let bus = daemon.session();
-    let state = wait_for("an alarm", || Some(alarm_state(&bus)).filter(|s| s != "no answer"));
+    let state = wait_for("an alarm", || alarm_state(&bus));
     bus.close().wait().unwrap();
     daemon.stop();
     state

@@ -40,7 +40,7 @@ fn a_clock_that_jumps_years_either_way_costs_no_sample_no_recording_and_no_alarm
     let samples = raw_samples(&old);
     let daemon = shim.start(dir.path(), FAST);
     let bus = daemon.session();
-    assert_eq!(wait_for("an alarm", || Some(alarm_state(&bus)).filter(|s| s != "no answer")), "unack");
+    assert_eq!(wait_for("an alarm", || alarm_state(&bus)), "unack");
     let mut sent = 0_i64;
     for ahead_s in [10 * YEAR_S, -10 * YEAR_S, 0, 10 * YEAR_S] {
         shim.set_clock(ahead_s);
