@@ -134,7 +134,7 @@ impl Kind {
     pub const FILTER: Self = Self::SensorFilter;
 
     /// Effects outside the catalogue.
-    pub const FOREIGN: [Self; 7] = [
+    pub const FOREIGN: [Self; 8] = [
         Self::InteractingLoop,
         Self::ChangingStiction,
         Self::RetunedFilter,
@@ -142,10 +142,8 @@ impl Kind {
         Self::FlowDependentLag,
         Self::ClockJitter,
         Self::SluggishFall,
+        Self::RandomFriction,
     ];
-
-    /// An effect that was foreign once: it comes after those that still are, so that most cases of a seed do not change.
-    pub const ADDED_LATER: Self = Self::RandomFriction;
 
     /// Effects that the budget alone names, outside every usual deck.
     pub const OF_BUDGET: [Self; 2] = [Self::Upsets, Self::WanderingCycle];
@@ -237,13 +235,7 @@ impl Kind {
     /// Whether it is in the catalogue.
     #[must_use]
     pub fn is_in_catalogue(self) -> bool {
-        [Self::FILTER, Self::ADDED_LATER].contains(&self) || Self::CATALOGUE.contains(&self)
-    }
-
-    /// Whether its true sizes determine what a model of the catalogue does.
-    #[must_use]
-    pub fn has_form(self) -> bool {
-        self.is_in_catalogue() && self != Self::ADDED_LATER
+        self == Self::FILTER || Self::CATALOGUE.contains(&self)
     }
 
     /// Whether a free run cannot predict it even if it is known: its residual counts as noise floor.

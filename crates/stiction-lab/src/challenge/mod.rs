@@ -107,14 +107,14 @@ impl Deck {
             });
         };
         let turn = |draw: &mut Draw| [draw.seed() % 3, draw.seed() % 2, draw.seed() % 4];
-        for kind in Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN).chain([Kind::ADDED_LATER]) {
+        for kind in Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN) {
             let now = turn(&mut shuffle);
             (0..cases).for_each(|i| order(vec![kind], kind.id(), i, now, shuffle.chance(0.25)));
         }
         let mut own = Draw::new(seed, &format!("challenge/{}/filter", split.name()));
         let now = turn(&mut own);
         (0..cases).for_each(|i| order(vec![Kind::FILTER], Kind::FILTER.id(), i, now, own.chance(0.25)));
-        let singles = cases * (Kind::CATALOGUE.len() + Kind::FOREIGN.len() + 1);
+        let singles = cases * (Kind::CATALOGUE.len() + Kind::FOREIGN.len());
         for i in 0..singles.div_ceil(9) {
             let pair = two(&mut shuffle);
             order(pair.to_vec(), "pair", i, [2, 0, 0], shuffle.chance(0.25));

@@ -121,7 +121,7 @@ impl TruthCase {
             tau: case.made.plant.process.tau,
             dead_time: case.made.plant.process.dead_time,
             base_rmse: case.base_rmse,
-            oracle_rmse: order.kinds.iter().all(|k| k.has_form()).then_some(case.oracle_rmse),
+            oracle_rmse: order.kinds.iter().all(|k| k.is_in_catalogue()).then_some(case.oracle_rmse),
         }
     }
 

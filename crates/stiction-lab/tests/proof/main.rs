@@ -21,7 +21,6 @@ mod truth_stiction;
 mod truth_swapped;
 mod val_budget;
 mod val_effects;
-mod val_friction;
 mod val_gap;
 mod val_labelled;
 mod val_plausible;

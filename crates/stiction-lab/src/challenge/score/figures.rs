@@ -242,7 +242,7 @@ fn row_name<'a>(case: &Judged<'a>) -> &'a str {
 }
 
 fn row_names() -> Vec<&'static str> {
-    let kinds = Kind::CATALOGUE.iter().chain(&[Kind::FILTER, Kind::ADDED_LATER]).chain(&Kind::FOREIGN).map(|k| k.id());
+    let kinds = Kind::CATALOGUE.iter().chain(&[Kind::FILTER]).chain(&Kind::FOREIGN).map(|k| k.id());
     ["none"].into_iter().chain(kinds).chain(["two effects"]).collect()
 }
 
@@ -281,7 +281,7 @@ fn curve(all: &[Judged<'_>]) -> Vec<CurvePoint> {
 fn confusion(all: &[Judged<'_>]) -> Confusion {
     let truths: Vec<String> = row_names().into_iter().map(str::to_owned).collect();
     let mut answers: Vec<String> = ["none", "unknown"].into_iter().map(str::to_owned).collect();
-    answers.extend(Kind::CATALOGUE.iter().chain(&[Kind::FILTER, Kind::ADDED_LATER]).map(|k| k.id().to_owned()));
+    answers.extend(Kind::CATALOGUE.iter().chain(&[Kind::FILTER]).map(|k| k.id().to_owned()));
     answers.push("other".to_owned());
     let mut counts = vec![vec![0; answers.len()]; truths.len()];
     for case in all {

@@ -2,10 +2,10 @@
 //!
 //! Effects are ranked by their gain on the training blocks after BIC (Schwarz 1978); choosing by held-out free run
 //! would let one mistimed slip decide. Whether the best one is right, nothing is missing or something else is, a
-//! calibrated probability says ([`Calibration`]), and that does ask the held-out blocks.
+//! calibrated probability says ([`Calibration`]). Held-out blocks only confirm what was chosen, and may refuse another loop.
 
 use super::effects::{self, Way};
-use super::evidence::{Basis, Contender, Evidence, OnMv};
+use super::evidence::{Basis, Contender, Evidence, Left, OnMv};
 use super::probability::{Calibration, Features, Outcomes};
 use super::types::{Alternative, Cause, EffectResult, NONE, NoiseModels, Stage, UNKNOWN};
 
@@ -77,15 +77,14 @@ pub struct Decision {
     pub outcomes: Outcomes,
 }
 
-/// Decides with a catalogue that lacks `without`.
+/// Decides.
 #[must_use]
-pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) -> Decision {
-    let evidence = &evidence.of_those_who_lack(without);
+pub fn decide(evidence: &Evidence, calibration: &Calibration) -> Decision {
     let basis = &evidence.basis;
-    let ranked = ranked(evidence, without);
+    let ranked = ranked(evidence);
     let features = Features::of(basis, &ranked);
     let outcomes = calibration.outcomes(&features);
-    let (id, probability, by) = choose(evidence, &ranked, &outcomes, without, calibration);
+    let (id, probability, by) = choose(evidence, &ranked, &outcomes, calibration);
     let stage = match id {
         NONE => Stage::None,
         _ => {
@@ -107,67 +106,57 @@ fn choose<'e>(
     evidence: &'e Evidence,
     ranked: &[&'e Contender],
     outcomes: &Outcomes,
-    without: &[&str],
     calibration: &Calibration,
 ) -> (&'e str, f64, By) {
     let basis = &evidence.basis;
-    let has = |id: &str| !is_left_out(id, without);
-    let noise = effects::coloured_noise::EFFECT.id;
-    let coloured = basis.coloured_noise && has(noise) && is_plain(basis);
-    let unnamed = if coloured { noise } else { UNKNOWN };
+    let coloured = basis.coloured_noise && is_plain(basis);
+    let unnamed = if coloured { effects::coloured_noise::EFFECT.id } else { UNKNOWN };
     // A trace that makes next to nothing of the gap gives way to an effect that makes half of it.
     let rival = ranked.first().filter(|b| b.lead > 0.0 && outcomes.right >= calibration.name_from);
     let gives_way = |t: &String| {
-        let makes_it = rival.is_some_and(|b| b.closed_pct.is_some_and(|c| c >= HALF));
+        let makes_it = rival.is_some_and(|b| b.closes(&basis.base).is_some_and(|c| c >= HALF));
         makes_it && basis.traces_close.get(t).is_some_and(|c| *c < LITTLE)
     };
     // Single wild samples are the whole story only where the rest is explained.
     let explained = |t: &str| t != effects::outliers::EFFECT.id || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
-    if let Some(trace) = basis.traces.iter().find(|t| has(t) && explained(t) && !gives_way(t)) {
+    if let Some(trace) = basis.traces.iter().find(|t| explained(t) && !gives_way(t)) {
         return (trace, calibration.trace, By::Trace);
     }
     // A controller that reads a filtered PV seems to lag, too.
     let filter = effects::sensor_filter::EFFECT.id;
-    if basis.filter && has(filter) && filter_explains(evidence, filter, ranked.first()) {
+    if basis.filter && filter_explains(evidence, filter, ranked.first()) {
         return (filter, calibration.trace, By::Trace);
     }
-    let skew = effects::time_skew::EFFECT.id;
-    if basis.skew.is_some() && has(skew) {
-        return (skew, calibration.trace, By::Trace);
+    if basis.skew.is_some() {
+        return (effects::time_skew::EFFECT.id, calibration.trace, By::Trace);
     }
     // A load that the noise model has in both halves is named whatever the free run makes of it: a disturbance that wanders
     // hides it there.
-    let acts = basis.acts.as_ref().filter(|id| has(id) && basis.by_mv != Some(Stage::Valve) && !basis.base_at_floor);
+    let acts = basis.acts.as_ref().filter(|_| basis.by_mv != Some(Stage::Valve) && !basis.base_at_floor);
     if let Some(load) = acts {
         return (load, calibration.neighbour, By::Choice);
     }
-    // A measured load stands for itself where it leads and closes the gap where it was not fitted: the calibrated choice was
-    // fitted to loops without neighbours.
+    // A measured load that leads is named: the calibrated choice was fitted to loops without neighbours.
     let measured = ranked.first().filter(|best| is_measured_load(basis, best));
     if let Some(load) = measured {
         return (&load.id, calibration.neighbour, By::Choice);
     }
-    if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
+    if let Some(first) = basis.on_mv.first() {
         // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
         // What closes next to nothing of the gap is not named for its rank.
         let own = evidence.contenders.iter().find(|c| c.id == first.id);
-        let refuted = own.is_some_and(|c| c.closed_pct.is_some_and(|closed| closed < LITTLE));
+        let refuted = own.is_some_and(|c| c.closes(&basis.base).is_some_and(|closed| closed < LITTLE));
         let ranks = basis.by_mv == Some(Stage::Process) && first.evidence > effects::MARGIN;
         if ranks && !basis.base_at_floor && !refuted {
             let id = if explains(first) { &first.id } else { unnamed };
             return (id, calibration.by_mv, By::Mv);
         }
     }
-    // Of samples that would have been left out of the fits, nothing is known.
-    let hidden =
-        basis.traces.iter().any(|t| !has(t) && effects::by_id(t).is_some_and(|e| e.masks || e.recorder.is_some()));
-    let random = effects::random_friction::EFFECT.id;
     match ranked.first() {
-        Some(best) if best.lead > 0.0 && outcomes.right >= calibration.name_from && !hidden => {
+        Some(best) if best.lead > 0.0 && outcomes.right >= calibration.name_from => {
             (&best.id, outcomes.right, By::Choice)
         }
-        _ if outcomes.none >= outcomes.other && !hidden => (NONE, outcomes.none, By::Choice),
-        _ if breaks_at_random(basis) && has(random) && !hidden => (random, calibration.random_friction, By::Choice),
+        _ if outcomes.none >= outcomes.other => (NONE, outcomes.none, By::Choice),
         _ => {
             let share = if coloured { calibration.coloured_noise } else { calibration.unknown };
             (unnamed, outcomes.other * share, By::Choice)
@@ -175,27 +164,21 @@ fn choose<'e>(
     }
 }
 
-/// Whether the catalogue lacks an effect, or one of a pair.
-fn is_left_out(id: &str, without: &[&str]) -> bool {
-    effects::parts(id).any(|part| without.contains(&effects::kind(part)))
-}
-
 /// The effects that may be named, best first; a pair of them among these where it says what none says alone.
-fn ranked<'e>(evidence: &'e Evidence, without: &[&str]) -> Vec<&'e Contender> {
-    let may = evidence.contenders.iter().filter(|e| !is_left_out(&e.id, without) && allowed(&evidence.basis, e));
+fn ranked(evidence: &Evidence) -> Vec<&Contender> {
+    let may = evidence.contenders.iter().filter(|e| allowed(&evidence.basis, e));
     let (pairs, mut ranked): (Vec<&Contender>, Vec<&Contender>) = may.partition(|e| is_pair(&e.id));
     let by_lead = |a: &&Contender, b: &&Contender| a.lead.total_cmp(&b.lead);
-    let pair = pairs.into_iter().filter(|pair| says_more(pair, &ranked)).max_by(by_lead);
+    let pair = pairs.into_iter().filter(|pair| says_more(pair, &ranked, &evidence.basis.base)).max_by(by_lead);
     ranked.extend(pair);
     ranked.sort_by(|a, b| by_lead(b, a));
     ranked
 }
 
-/// Whether two effects explain what none does alone, by the margin and also where they were not fitted: together they
-/// explain a little more of anything.
-fn says_more(pair: &Contender, alone: &[&Contender]) -> bool {
+/// Whether two effects explain what none does alone, by the margin: together they explain a little more of anything.
+fn says_more(pair: &Contender, alone: &[&Contender], base: &Left) -> bool {
     let explains = |e: &Contender| e.left.over_floor.is_some_and(|over| over < EXPLAINED);
-    let closed = |e: &Contender| e.closed_pct.unwrap_or(0.0);
+    let closed = |e: &Contender| e.closes(base).unwrap_or(0.0);
     let best = alone.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence));
     let beats =
         |best: &&&Contender| pair.evidence > best.evidence.max(0.0) + effects::MARGIN && closed(pair) > closed(best);
@@ -208,8 +191,7 @@ fn second(basis: &Basis, ranked: &[&Contender], cause: &Cause, calibration: &Cal
     let (id, probability) = if is_trace(&cause.id) {
         let single = ranked.iter().find(|e| !is_pair(&e.id))?;
         let shows = single.evidence > BESIDE_TRACE && single.lead > 0.0 && single.at_floor;
-        let holds = single.closed_pct.is_some_and(|closed| closed >= LITTLE);
-        (shows && holds).then_some((&single.id, calibration.second))?
+        shows.then_some((&single.id, calibration.second))?
     } else {
         let named = ranked.iter().any(|e| e.id == cause.id);
         (basis.traces.first().filter(|_| named)?, calibration.trace)
@@ -224,16 +206,11 @@ fn explains(effect: &OnMv) -> bool {
 }
 
 /// Whether a filter in the measurement gains about as much as any other effect: behind a wrong model, too, noise has a
-/// memory. What is held out does not ask: a filter is met by its noise, of which blocks hold little.
+/// memory.
 fn filter_explains(evidence: &Evidence, filter: &str, best: Option<&&Contender>) -> bool {
     let most = best.map_or(0.0, |b| b.lead.max(0.0));
     let own = evidence.contenders.iter().find(|c| c.id == filter);
     own.is_none_or(|c| c.lead >= BESIDE_BEST * most)
-}
-
-/// Whether bands differ at random where there is something to explain and the recorded valve position does not rule the valve out.
-fn breaks_at_random(basis: &Basis) -> bool {
-    basis.random_bands && !basis.base_at_floor && basis.by_mv != Some(Stage::Process)
 }
 
 /// Whether what is left is noise with a memory and nothing else.
@@ -251,7 +228,8 @@ fn is_plain(basis: &Basis) -> bool {
 }
 
 /// MV at the floor of PV leaves the valve's effects; no better than OP, it leaves what acts behind the stem. A neighbour
-/// has to close a good part of the gap where it was not fitted: an unrelated loop of nearly the same period fits what was.
+/// is refused, too, where it does not close a good part of the gap on held-out blocks: an unrelated loop of nearly the same
+/// period fits what was fitted.
 fn allowed(basis: &Basis, effect: &Contender) -> bool {
     if is_neighbour(&effect.id) && !closes_well(effect) {
         return false;
@@ -329,7 +307,7 @@ fn is_neighbour(id: &str) -> bool {
     !is_pair(id) && effects::kind(id) == effects::neighbour::EFFECT.id
 }
 
-/// Whether an effect surely closes a good part of the gap.
+/// Whether an effect surely closes a good part of the held-out gap.
 fn closes_well(effect: &Contender) -> bool {
     let surely = effect.closed_interval.is_none_or(|[low, _]| low > 0.0);
     surely && effect.closed_pct.is_some_and(|closed| closed >= MEASURED)
@@ -358,6 +336,18 @@ mod tests {
     use super::super::types::Alone;
     use super::*;
 
+    fn left(over: f64) -> Left {
+        let over = Some(over);
+        Left {
+            over_floor: over,
+            held_over_floor: over,
+            colour: 0.0,
+            with_op: 9.0,
+            fitted: [900, 8],
+            one_step: [[0.0; 2]; 5],
+        }
+    }
+
     fn basis(traces: &[&str]) -> Basis {
         let noise =
             NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: false, beyond_first: 0.0 };
@@ -365,9 +355,7 @@ mod tests {
             traces: traces.iter().map(|t| (*t).to_owned()).collect(),
             traces_close: [("swinging_door".to_owned(), 5.0)].into(),
             filter: false,
-            floor_owes: [].into(),
             acts: None,
-            random_bands: false,
             skew: None,
             noise,
             alone: None,
@@ -375,7 +363,7 @@ mod tests {
             by_mv: None,
             on_mv: Vec::new(),
             base_at_floor: false,
-            base: Left { over_floor: Some(6.0), held_over_floor: Some(6.0), colour: 1.0, with_op: 9.0 },
+            base: Left { colour: 1.0, with_op: 9.0, ..left(6.0) },
             excited: false,
             linear: false,
         }
@@ -384,42 +372,37 @@ mod tests {
     #[test]
     fn under_what_a_recorder_did_the_effect_is_named_that_its_stored_values_show() {
         // What is left for the alternatives is to be enough for each to be listed.
-        let calibration = Calibration { trace: 0.9, ..Calibration::shipped().clone() };
-        let said = |contender: Contender| {
-            let evidence = Evidence { basis: basis(&["swinging_door"]), contenders: vec![contender] };
-            let decision = decide(&evidence, &[], &calibration);
+        let calibration = Calibration { trace: 0.5, ..Calibration::shipped().clone() };
+        let said = |contender: Contender, door: f64| {
+            let traces_close = [("swinging_door".to_owned(), door)].into();
+            let basis = Basis { traces_close, ..basis(&["swinging_door"]) };
+            let evidence = Evidence { basis, contenders: vec![contender] };
+            let decision = decide(&evidence, &calibration);
             let listed = decision.alternatives.iter().any(|a| a.id == "slip_overshoot");
             (decision.cause.id, decision.second.map(|s| s.id), listed)
         };
         let overshoot = |over, evidence, closed| contender("slip_overshoot", over, evidence, closed);
         let (door, both) = ("swinging_door".to_owned(), Some("slip_overshoot".to_owned()));
-        assert_eq!(said(overshoot(1.02, 2.0, 38.0)), (door.clone(), both, false));
-        assert_eq!(said(overshoot(1.3, 2.0, 38.0)), (door.clone(), None, true), "more than noise is left");
-        assert_eq!(said(overshoot(1.02, 0.2, 38.0)), (door.clone(), None, true), "hardly better than the base");
-        assert_eq!(
-            said(overshoot(1.02, 2.0, 3.0)),
-            (door.clone(), None, true),
-            "nothing closed where it was not fitted"
-        );
-        let made = said(overshoot(1.01, 3.0, 97.0));
+        assert_eq!(said(overshoot(1.02, 2.0, 38.0), 40.0), (door.clone(), both, false));
+        assert_eq!(said(overshoot(1.3, 2.0, 38.0), 40.0), (door.clone(), None, true), "more than noise is left");
+        assert_eq!(said(overshoot(1.02, 0.2, 38.0), 40.0), (door.clone(), None, true), "hardly better than the base");
+        let made = said(overshoot(1.01, 3.0, 97.0), 5.0);
         assert_eq!(made, ("slip_overshoot".to_owned(), Some(door), false), "the recorder made next to nothing of it");
     }
 
     #[test]
     fn a_load_of_both_halves_is_named_but_where_the_base_or_the_valve_position_explains_pv() {
         let load = "neighbour(F7)";
-        let said = |basis: Basis, without: &[&str]| {
-            let sinusoid = contender("sinusoid", 1.5, 1.0, 60.0);
-            decide(&Evidence { basis, contenders: vec![sinusoid] }, without, Calibration::shipped()).cause
-        };
+        let of = |basis: Basis| Evidence { basis, contenders: vec![contender("sinusoid", 1.5, 1.0, 60.0)] };
+        let said = |basis: Basis| decide(&of(basis), Calibration::shipped()).cause;
         let acts = || Basis { acts: Some(load.to_owned()), ..basis(&[]) };
-        let named = said(acts(), &[]);
+        let named = said(acts());
         assert_eq!((named.id.as_str(), named.stage), (load, Stage::Disturbance));
         assert!((named.probability - Calibration::shipped().neighbour).abs() < 1e-12);
-        assert_ne!(said(acts(), &["neighbour"]).id, load);
-        assert_ne!(said(Basis { by_mv: Some(Stage::Valve), ..acts() }, &[]).id, load);
-        assert_ne!(said(Basis { base_at_floor: true, ..acts() }, &[]).id, load);
-        assert_ne!(said(basis(&[]), &[]).id, load);
+        assert_ne!(decide(&of(acts()).without("neighbour"), Calibration::shipped()).cause.id, load);
+        assert_ne!(said(Basis { by_mv: Some(Stage::Valve), ..acts() }).id, load);
+        assert_ne!(said(Basis { base_at_floor: true, ..acts() }).id, load);
+        assert_ne!(said(basis(&[])).id, load);
     }
 
     fn contender(id: &str, over_floor: f64, evidence: f64, closed_pct: f64) -> Contender {
@@ -432,7 +415,7 @@ mod tests {
             at_floor: over_floor <= 1.05,
             closed_pct: Some(closed_pct),
             closed_interval: None,
-            left: Left { over_floor: Some(over_floor), held_over_floor: Some(over_floor), colour: 0.0, with_op: 0.0 },
+            left: left(over_floor),
         }
     }
 
@@ -449,7 +432,7 @@ mod tests {
             let alone = Some(Alone { models: of_best_place, tails: 0.0 });
             let basis = Basis { noise: models(of_base), alone, coloured_noise: true, ..basis(&[]) };
             let weak = contender("sinusoid", 3.0, -0.5, 5.0);
-            decide(&Evidence { basis, contenders: vec![weak] }, &[], Calibration::shipped()).cause.id
+            decide(&Evidence { basis, contenders: vec![weak] }, Calibration::shipped()).cause.id
         };
         assert_eq!(said(0.01, models(0.01)), "coloured_noise");
         assert_eq!(said(0.2, models(0.01)), UNKNOWN, "a cycle elsewhere is of higher order");
@@ -463,13 +446,20 @@ mod tests {
     fn two_effects_are_named_only_where_they_explain_what_none_does_alone() {
         let (ramp, drift) = (contender("ramp", 1.6, 1.0, 60.0), contender("gain_drift", 2.0, 0.5, 30.0));
         let both = contender("gain_drift+ramp", 1.01, 2.0, 98.0);
-        assert!(says_more(&both, &[&ramp, &drift]));
-        assert!(!says_more(&both, &[&contender("ramp", 1.1, 1.0, 60.0), &drift]), "one explains it");
-        assert!(!says_more(&contender("gain_drift+ramp", 1.3, 2.0, 98.0), &[&ramp, &drift]), "more than noise is left");
+        let base = left(6.0);
+        assert!(says_more(&both, &[&ramp, &drift], &base));
+        assert!(!says_more(&both, &[&contender("ramp", 1.1, 1.0, 60.0), &drift], &base), "one explains it");
         assert!(
-            !says_more(&contender("gain_drift+ramp", 1.01, 2.0, 70.0), &[&ramp, &drift]),
-            "held out it closes less"
+            !says_more(&contender("gain_drift+ramp", 1.3, 2.0, 98.0), &[&ramp, &drift], &base),
+            "more than noise is left"
         );
-        assert!(!says_more(&contender("gain_drift+ramp", 1.01, 1.0, 98.0), &[&ramp, &drift]), "it gains no more");
+        assert!(
+            !says_more(&contender("gain_drift+ramp", 1.15, 2.0, 98.0), &[&ramp, &drift], &left(1.7)),
+            "it closes little of a small gap"
+        );
+        assert!(
+            !says_more(&contender("gain_drift+ramp", 1.01, 1.0, 98.0), &[&ramp, &drift], &base),
+            "it gains no more"
+        );
     }
 }

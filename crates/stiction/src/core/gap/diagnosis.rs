@@ -1,9 +1,7 @@
 //! From a record to the diagnosis: traces, base, effects, noise models, decision, and its consequences.
 
-use std::collections::BTreeMap;
 use std::{iter, mem};
 
-use super::break_away::{self, Replay};
 use super::decide::Decision;
 use super::effects::{self, Way};
 use super::evidence::{Basis, Left};
@@ -23,7 +21,7 @@ use super::search::Search;
 use super::signatures;
 use super::stages;
 use super::traces::Traces;
-use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, FromSp, GapError, GapOptions, UNKNOWN};
+use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, FromSp, GapError, GapOptions};
 use super::weigh::{Scales, sort_by_lead};
 use crate::core::ident::controller;
 use crate::core::record::Record;
@@ -132,8 +130,6 @@ struct Looked {
     rivals: Vec<(Problem, Search)>,
     /// PV before a sensor's filter.
     filtered: Option<Filtered>,
-    /// See [`floor_owes`].
-    floor_owes: BTreeMap<String, f64>,
 }
 
 /// Compares other loops, checks the floor, and undoes a filter.
@@ -159,11 +155,10 @@ fn look_further(
     work.begin(options.budget_evaluations);
     let is_asked = options.asks(effects::sensor_filter::EFFECT.id);
     let filtered = is_asked.then(|| filter::look(record, problem, found, traces, floor.noise_floor, work)).flatten();
-    let floor_owes = floor_owes(traces, floor, filtered.as_ref());
     if let Some(filtered) = &filtered {
         (floor.noise_sd, floor.noise_floor) = (Some(filtered.noise_sd), Some(filtered.noise_sd));
     }
-    Looked { offered, rivals, filtered, floor_owes }
+    Looked { offered, rivals, filtered }
 }
 
 /// Diagnoses a record.
@@ -188,11 +183,9 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let base = fit(&searched.problem, &searched.found.base, searched.floor.noise_floor, &|_| {}).ok_or(no_base)?;
     let findings = weigh_all(record, options, &searched, looked, base, &mut work)?;
     let findings = with_pairs(options, &mut searched, findings, &mut work);
-    let (findings, replay) =
-        with_random_friction(record, options, &searched, findings, base_to_all.as_ref(), &mut work);
-    let decision = findings.decide(&[]);
+    let decision = findings.decide();
     let (forward, from_sp) = run_forward(record, &searched, &findings, &decision, &mut work);
-    let cause_to_all = fit_cause(&searched, &decision, replay, base_to_all.as_ref(), &mut work);
+    let cause_to_all = fit_cause(&searched, &decision, base_to_all.as_ref(), &mut work);
     let runs = Runs {
         forward,
         from_sp,
@@ -226,12 +219,12 @@ fn weigh_all(
     let against = (base.rmse_train, floor.noise_floor);
     let seen = stages::look(record, problem, traces, against, &options.without, work);
     let scales = searched.scales(&base, options.seed);
-    let Looked { offered, rivals, filtered, floor_owes } = looked;
+    let Looked { offered, rivals, filtered } = looked;
     let mut effects = weigh(&scales, found, filtered.as_ref(), options);
     effects.extend(rivals.iter().filter_map(|(with, search)| Scales { problem: with, ..scales }.weigh(search)));
     sort_by_lead(&mut effects);
     let (compared, loads) = offered.map(|o| (o.compared, o.loads)).unzip();
-    let mut basis = basis(record, searched, &base, &effects, seen.as_ref(), floor_owes, options);
+    let mut basis = basis(record, searched, &scales, &effects, seen.as_ref(), options);
     basis.acts = compared.as_ref().and_then(|c| c.acts.as_deref()).map(effects::neighbour::id_of);
     Ok(Findings {
         relative_gap: base.gap / problem.normalised.deviation,
@@ -251,7 +244,7 @@ fn weigh_all(
 
 /// With two effects at once, where one leaves more than noise, or where that is asked for.
 fn with_pairs(options: &GapOptions, searched: &mut Searched, findings: Findings, work: &mut Work<'_>) -> Findings {
-    if !options.pairs && !findings.leaves_more(&findings.decide(&[])) {
+    if !options.pairs && !findings.leaves_more(&findings.decide()) {
         return findings;
     }
     work.begin(options.budget_evaluations);
@@ -261,46 +254,10 @@ fn with_pairs(options: &GapOptions, searched: &mut Searched, findings: Findings,
     Findings { pairs, ..findings }
 }
 
-/// With a replay of OP that has a band of its own for each slip, where nothing else is named.
-fn with_random_friction(
-    record: &Record,
-    options: &GapOptions,
-    searched: &Searched,
-    findings: Findings,
-    base_to_all: Option<&Fit>,
-    work: &mut Work<'_>,
-) -> (Findings, Option<Replay>) {
-    let random = &effects::random_friction::EFFECT;
-    let (Some(base), Some(floor)) = (base_to_all, findings.floor.noise_floor) else { return (findings, None) };
-    let is_open = !findings.base.at_floor && findings.decide(&[]).cause.id == UNKNOWN;
-    if !options.asks(random.id) || !is_open || work.stopped {
-        return (findings, None);
-    }
-    let problem = &searched.problem;
-    let found = work.all(break_away::SEARCHES, |which| break_away::search(record, base, problem.blocks.from, which));
-    let Some(replay) = break_away::judge(record, problem, base, floor, found.into_iter().flatten()) else {
-        return (findings, None);
-    };
-    let result = searched.scales(&findings.base, options.seed).replayed(random, &replay);
-    let Findings { mut effects, basis, .. } = findings;
-    effects.push(result);
-    sort_by_lead(&mut effects);
-    (Findings { effects, basis: Basis { random_bands: true, ..basis }, ..findings }, Some(replay))
-}
-
-/// The base with the cause on all of the record, or the replay's fit; `None` where the base has none.
-fn fit_cause(
-    searched: &Searched,
-    decision: &Decision,
-    replay: Option<Replay>,
-    base_to_all: Option<&Fit>,
-    work: &mut Work<'_>,
-) -> Option<Fit> {
+/// The base with the cause on all of the record; `None` where the base has none.
+fn fit_cause(searched: &Searched, decision: &Decision, base_to_all: Option<&Fit>, work: &mut Work<'_>) -> Option<Fit> {
     base_to_all?;
-    let (problem, cause) = (&searched.problem, &decision.cause.id);
-    let fitted = searched.search_of(cause).and_then(|search| fit_to_all(problem, search, work));
-    let replayed = replay.filter(|_| *cause == effects::random_friction::EFFECT.id).map(|replay| replay.fit);
-    fitted.or(replayed)
+    fit_to_all(&searched.problem, searched.search_of(&decision.cause.id)?, work)
 }
 
 /// The best of a search, fitted to all of the record; `None` where that was stopped, or no place is found.
@@ -329,23 +286,6 @@ fn check_floor(problem: &Problem, found: &Found, traces: &Traces, floor: &mut Fl
     floor.high_band_sd = sd.map(|s| s * problem.normalised.deviation);
 }
 
-/// How much of the floor is owed to what an effect told of PV's noise: a grid's own share, and the memory of a filter. Before
-/// the filter's own noise is taken for the floor.
-fn floor_owes(traces: &Traces, floor: &Floor, filtered: Option<&Filtered>) -> BTreeMap<String, f64> {
-    /// Most that is owed: a coarse grid leaves nothing of the noise.
-    const MOST: f64 = 20.0;
-    let over = |with: Option<f64>, without: Option<f64>| {
-        let (with, without) = (with?, without?);
-        Some((with / without.max(with / MOST)).max(1.0))
-    };
-    let grid = effects::quantisation::EFFECT.id;
-    let is_coarse = traces.signatures.iter().any(|s| s.id == grid && s.met);
-    let of_grid = over(floor.noise_floor, floor.noise_sd).filter(|_| is_coarse).map(|by| (grid, by));
-    let of_filter = filtered.and_then(|f| over(Some(f.noise_sd), floor.noise_floor));
-    let of_filter = of_filter.map(|by| (effects::sensor_filter::EFFECT.id, by));
-    of_grid.into_iter().chain(of_filter).map(|(id, by)| (id.to_owned(), by)).collect()
-}
-
 /// Every effect of the catalogue, weighed.
 fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, options: &GapOptions) -> Vec<EffectResult> {
     let (problem, floor) = (scales.problem, scales.floor);
@@ -361,7 +301,7 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
             _ => None,
         };
         match (effect.way, filtered) {
-            (Way::Simulated | Way::AgainstLinear | Way::Neighbour | Way::Replay, _) => {}
+            (Way::Simulated | Way::AgainstLinear | Way::Neighbour, _) => {}
             (Way::Filter, Some(filtered)) => out.push(scales.filtered(effect, filtered)),
             _ => out.push(scales.recorded(effect, floor_after)),
         }
@@ -373,13 +313,13 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
 fn basis(
     record: &Record,
     searched: &Searched,
-    base: &Fit,
+    scales: &Scales<'_>,
     weighed: &[EffectResult],
     seen: Option<&stages::Seen>,
-    floor_owes: BTreeMap<String, f64>,
     options: &GapOptions,
 ) -> Basis {
     let Searched { traces, problem, floor, found } = searched;
+    let base = scales.base;
     let nothing = || vec![0.0; problem.n()];
     let mut of_base = vec![residual_of(problem, &found.base).unwrap_or_else(nothing)];
     let places = found.base.best.iter().skip(1).chain(&found.by_moves);
@@ -404,12 +344,10 @@ fn basis(
         traces_close: weighed
             .iter()
             .filter(|e| !e.simulated)
-            .filter_map(|e| Some((e.id.clone(), e.closed_pct?)))
+            .filter_map(|e| Some((e.id.clone(), scales.closes_where_fitted(e)?)))
             .collect(),
         filter: weighed.iter().any(|e| e.simulated && e.id == effects::sensor_filter::EFFECT.id),
-        floor_owes,
         acts: None,
-        random_bands: false,
         skew: skew.filter(|_| options.asks(effects::time_skew::EFFECT.id)),
         noise: noise::judge(problem, &of_base[0], &of_best, &slipped, options.seed),
         alone: noise::alone(problem, &of_base, &of_best, &slipped, options.seed),

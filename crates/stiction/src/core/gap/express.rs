@@ -8,7 +8,7 @@ use super::problem::Problem;
 use super::search::Search;
 use super::structure::Structure;
 use super::types::{Fit, Parameter, Slip};
-use crate::core::ident::residual::whiteness;
+use crate::core::ident::residual::whiteness_where;
 use crate::core::sim::process::separated;
 use crate::core::sim::slips::Law;
 
@@ -176,7 +176,6 @@ impl Fit {
         let residual: Vec<f64> = pv.zip(&prediction).map(|(y, p)| y - p).collect();
         let [train, test] = [&problem.train, &problem.test].map(|stretches| rms(&residual, stretches));
         let one_step = noise::autoregression(&residual, &problem.train).map_or(train * train, |a| a.mse);
-        let from = problem.blocks.from;
         let has_friction = model.valve.law != "none";
         Self {
             id,
@@ -193,7 +192,9 @@ impl Fit {
             evaluations: 0,
             at_floor: floor.is_some_and(|f| train <= AT_FLOOR * f),
             colour: libm::log((train * train).max(1e-300)) - libm::log(one_step.max(1e-300)),
-            with_op: whiteness(&residual[from..], &problem.normalised.mean[from..]).cross,
+            points: problem.train.iter().map(|[a, b]| b - a).sum(),
+            one_step: noise::one_step(&residual, problem),
+            with_op: whiteness_where(&residual, &problem.normalised.mean, &problem.train).cross,
         }
     }
 }

@@ -49,10 +49,10 @@ impl Findings {
         Evidence::new(&self.basis, self.effects.iter().chain(&self.pairs), self.floor.noise_floor)
     }
 
-    /// The decision with a catalogue that lacks these effects.
+    /// The decision.
     #[must_use]
-    pub(super) fn decide(&self, without: &[&str]) -> Decision {
-        decide::decide(&self.evidence(), without, Calibration::shipped())
+    pub(super) fn decide(&self) -> Decision {
+        decide::decide(&self.evidence(), Calibration::shipped())
     }
 
     /// The result of an effect or pair.
@@ -213,12 +213,6 @@ impl Diagnosis {
         Self::new(self.findings.clone(), decision, runs, self.spent)
     }
 
-    /// The same findings judged again as if the catalogue lacked `ids` as well.
-    #[must_use]
-    pub fn without(&self, ids: &[&str]) -> Self {
-        self.with_decision(self.findings.decide(ids))
-    }
-
     /// What the decision is made from.
     #[must_use]
     pub fn evidence(&self) -> Evidence {
@@ -242,6 +236,7 @@ impl Diagnosis {
 #[cfg(test)]
 mod tests {
     use super::super::{GapOptions, Serial, diagnose};
+    use super::*;
     use crate::core::record::Record;
     use crate::core::sim::noise::Noise;
 
@@ -258,7 +253,8 @@ mod tests {
         let mut found = diagnose(&Record::uniform(1.0, op, pv), &GapOptions::default(), &Serial).unwrap();
         assert!(found.cause.id == "sinusoid" && found.cause.confirmed, "{:?}", found.cause);
         // What was computed for one cause says nothing of another.
-        let another = found.without(&["sinusoid"]);
+        let another =
+            found.with_decision(decide::decide(&found.evidence().without("sinusoid"), Calibration::shipped()));
         assert!(found.fits_to_all.len() == 2 && found.forward.is_some());
         assert!(another.cause.id != "sinusoid" && another.fits_to_all == found.fits_to_all[..1]);
         assert!(another.forward.is_none() && another.next_test.is_none());

@@ -4,7 +4,6 @@
 //! each effect of the [`effects::ALL`] catalogue, and judges them on held-out blocks.
 
 mod agree;
-mod break_away;
 pub mod budget;
 mod candidate;
 mod decide;

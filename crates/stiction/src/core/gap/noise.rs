@@ -1,7 +1,8 @@
 //! The noise that no free run explains: its floor, and what a noise model makes of a residual one step ahead.
 
+use super::budget::student::Student;
 use super::problem::Problem;
-use super::types::{Alone, Floor, NoiseModels};
+use super::types::{Alone, Floor, NoiseModels, OneStep};
 use crate::core::ident::least_squares::Gram;
 use crate::core::ident::residual;
 use crate::core::signal::stats;
@@ -119,32 +120,56 @@ fn first_order_under_white(residual: &[f64], stretches: &[[usize; 2]]) -> f64 {
     best
 }
 
+/// How likely a residual in PV units is one step ahead, by the order of its noise.
+#[must_use]
+pub(crate) fn one_step(residual: &[f64], problem: &Problem) -> OneStep {
+    let deviation = problem.normalised.deviation;
+    let of_order = |order: usize| {
+        let taken = coefficients(residual, &problem.train, order)?;
+        let [train, test] = [&problem.train, &problem.test].map(|stretches| -> Vec<f64> {
+            innovations(residual, stretches, &taken).map(|(_, e)| e / deviation).collect()
+        });
+        let student = Student::of(&train, &vec![true; train.len()]);
+        let loss = |e: &[f64]| student.loss(e.iter().copied()) / e.len().max(1) as f64;
+        let fitted = student.log_likelihood / train.len() as f64;
+        Some([fitted, fitted + loss(&train) - loss(&test)])
+    };
+    core::array::from_fn(|order| of_order(order).unwrap_or_default())
+}
+
 fn of_order(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<Autoregression> {
+    let taken = coefficients(residual, stretches, order)?;
+    let innovations: Vec<(usize, f64)> = innovations(residual, stretches, &taken).collect();
+    let mse = innovations.iter().map(|(_, e)| e * e).sum::<f64>() / innovations.len() as f64;
+    Some(Autoregression { mse, innovations })
+}
+
+/// What an autoregression leaves of each point that it predicts, with the point.
+fn innovations(residual: &[f64], stretches: &[[usize; 2]], coefficients: &[f64]) -> impl Iterator<Item = (usize, f64)> {
+    let points = stretches.iter().flat_map(|[a, b]| a + ORDER..*b);
+    points.map(|k| {
+        let past = &residual[k - coefficients.len()..k];
+        (k, residual[k] - coefficients.iter().zip(past).map(|(c, x)| c * x).sum::<f64>())
+    })
+}
+
+/// The coefficients of an autoregression by least squares, the farthest point's first; `None` for too few points.
+fn coefficients(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<Vec<f64>> {
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); order + 1];
-    let mut places = Vec::new();
-    for [a, b] in stretches {
-        for k in a + ORDER..*b {
-            for (lag, column) in columns.iter_mut().enumerate() {
-                // The last column is the point itself.
-                column.push(residual[k - (order - lag)]);
-            }
-            places.push(k);
+    for k in stretches.iter().flat_map(|[a, b]| a + ORDER..*b) {
+        for (lag, column) in columns.iter_mut().enumerate() {
+            // The last column is the point itself.
+            column.push(residual[k - (order - lag)]);
         }
     }
-    if places.len() < 10 * ORDER {
+    if columns[order].len() < 10 * ORDER {
         return None;
     }
     let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
     let mut gram = Gram::of(&views);
     gram.eliminate(order);
     let all = gram.back(order, &[]);
-    let innovations: Vec<(usize, f64)> = places
-        .iter()
-        .enumerate()
-        .map(|(i, k)| (*k, columns[order][i] - (0..order).map(|l| all[l] * columns[l][i]).sum::<f64>()))
-        .collect();
-    let mse = innovations.iter().map(|(_, e)| e * e).sum::<f64>() / innovations.len() as f64;
-    Some(Autoregression { mse, innovations })
+    Some(all[..order].to_vec())
 }
 
 /// What noise models say: `base` and `best` are free-run residuals over the whole record.

@@ -252,7 +252,8 @@ impl<'a> PlainPass<'a> {
     /// over next to nothing. One that they do see stays, as of a slow lag in place of an integrator.
     fn begun_within_reason(&self, plan: &Plan, mut linear: Linear) -> Linear {
         let problem = self.problem;
-        let farthest = problem.normalised.pv.iter().fold(0.0, |m: f64, y| m.max(y.abs()));
+        let fitted = problem.train.iter().flat_map(|[a, b]| &problem.normalised.pv[*a..*b]);
+        let farthest = fitted.fold(0.0, |m: f64, y| m.max(y.abs()));
         let memories = if plan.integrating { 0 } else { 1 + usize::from(plan.tau2 > 0.0) };
         let course = |k: usize| (1..=memories).map(|i| linear.others[i] * self.columns[i][k]).sum::<f64>().abs();
         let most = |of: &dyn Fn(usize) -> bool| {

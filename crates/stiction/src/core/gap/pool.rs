@@ -112,7 +112,7 @@ pub fn decide_together(windows: &[Window]) -> Result<Together, PoolError> {
         return Err(PoolError::Single);
     }
     let evidence = pooled(&windows.iter().map(|w| &w.evidence).collect::<Vec<_>>());
-    let decision = decide(&evidence, &[], Calibration::shipped());
+    let decision = decide(&evidence, Calibration::shipped());
     let mut cause = decision.cause.clone();
     cause.confirmed = match cause.id.as_str() {
         NONE => evidence.basis.base_at_floor,
@@ -194,7 +194,6 @@ fn basis(of: &[&Basis]) -> Basis {
         traces: traces.into_iter().filter(|(_, count)| *count >= WITH_TRACE).map(|(t, _)| t.clone()).collect(),
         filter: most(&|b| b.filter),
         acts: of[0].acts.clone().filter(|id| most(&|b| b.acts.as_ref() == Some(id))),
-        random_bands: most(&|b| b.random_bands),
         skew: median(of.iter().filter_map(|b| b.skew)).filter(|_| most(&|b| b.skew.is_some())),
         noise: models(of.iter().map(|b| &b.noise)),
         alone: is_most(alone.len(), of.len()).then(|| Alone {
@@ -214,7 +213,9 @@ fn left<'e>(of: impl Iterator<Item = &'e Left> + Clone) -> Left {
         over_floor: median(of.clone().filter_map(|l| l.over_floor)),
         held_over_floor: median(of.clone().filter_map(|l| l.held_over_floor)),
         colour: mean(of.clone().map(|l| l.colour)),
-        with_op: mean(of.map(|l| l.with_op)),
+        with_op: mean(of.clone().map(|l| l.with_op)),
+        fitted: [0, 1].map(|which| of.clone().map(|l| l.fitted[which]).sum()),
+        one_step: core::array::from_fn(|order| [0, 1].map(|side| mean(of.clone().map(|l| l.one_step[order][side])))),
     }
 }
 

@@ -12,22 +12,19 @@ use super::evidence::{Basis, Contender};
 use super::types::Stage;
 
 /// What an answer's probability is made of, in this order; the first is a constant.
-pub const NAMES: [&str; 26] = [
+pub const NAMES: [&str; 23] = [
     "one",
     "lead",
     "ahead",
     "at_floor",
     "closed",
-    "closed_at_least",
     "train",
-    "held_out",
     "colour",
     "white_above",
     "explained",
     "with_op",
     "over_best",
     "base_train",
-    "base_held_out",
     "base_colour",
     "base_with_op",
     "independent",
@@ -56,8 +53,7 @@ impl Features {
         let left = best.map_or(base, |b| &b.left);
         let lead = best.map_or(-0.2, |b| b.lead);
         let second = ranked.get(1).map_or(0.0, |e| e.lead);
-        let closed = best.and_then(|b| b.closed_pct).unwrap_or(0.0);
-        let at_least = best.and_then(|b| b.closed_interval).map_or(closed, |[low, _]| low);
+        let closed = best.and_then(|b| b.closes(base)).unwrap_or(0.0);
         let share = |pct: f64| (pct / 100.0).clamp(-1.0, 1.0);
         let against = |x: f64| ((x - 3.0) / 6.0).clamp(0.0, 1.5);
         let raw_gain = best.map_or(0.0, |b| b.raw_gain).max(0.0);
@@ -73,16 +69,13 @@ impl Features {
             (2.0 * (lead - second.max(0.0))).clamp(0.0, 1.0),
             flag(best.is_some_and(|b| b.at_floor)),
             share(closed),
-            share(at_least),
             train,
-            log(left.held_over_floor),
             left.colour.clamp(0.0, 2.0),
             white_above,
             (raw_gain / to_explain).clamp(0.0, 1.2),
             against(left.with_op),
             (basis.noise.over_base - raw_gain).clamp(-0.5, 1.5),
             log(base.over_floor),
-            log(base.held_over_floor),
             base.colour.clamp(0.0, 2.0),
             against(base.with_op),
             flag(basis.noise.independence_p > 0.1),
@@ -158,9 +151,6 @@ pub struct Calibration {
     /// Among neighbours that are named.
     #[serde(default = "of_neighbours")]
     pub neighbour: f64,
-    /// Among calls of random friction.
-    #[serde(default = "of_random_friction")]
-    pub random_friction: f64,
     /// Share of effects that no catalogue has where something else than the best effect was likeliest.
     pub unknown: f64,
     /// Where all this comes from.
@@ -171,12 +161,6 @@ pub struct Calibration {
 /// named the driver 17 times, a follower and an unrelated loop once each; one right and one wrong added (Laplace).
 const fn of_neighbours() -> f64 {
     18.0 / 21.0
-}
-
-/// The share of calls of random friction that was right: of ten loops of each kind of `val_friction` with seed 65, on which nothing
-/// was chosen, it was called 7 times where it was and 4 times where it was not; one right and one wrong added (Laplace).
-const fn of_random_friction() -> f64 {
-    8.0 / 13.0
 }
 
 impl Calibration {
@@ -198,7 +182,6 @@ impl Calibration {
             second: 0.5,
             coloured_noise: 0.5,
             neighbour: of_neighbours(),
-            random_friction: of_random_friction(),
             unknown: 0.5,
             from: String::new(),
         }

@@ -1,6 +1,6 @@
 //! The record as the search sees it: normalised, divided into blocks that are fitted and blocks that are held out.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use super::candidate::Parameters;
 use super::neighbour::Load;
@@ -19,6 +19,8 @@ pub(crate) const MOVES_RHO: f64 = 0.95;
 const BLOCK_PERIODS: f64 = 1.5;
 /// Fewest and most blocks.
 const BLOCKS: [usize; 2] = [6, 60];
+/// How far back OP is compared to find points that are alike, periods.
+const BACK: [f64; 8] = [0.0, 0.06, 0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
 
 /// Which error is meant: the free run's itself, or that of its differences.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,6 +42,8 @@ pub struct Problem {
     drawn: Option<Vec<f64>>,
     /// Points at which PV was measured.
     measured: Vec<bool>,
+    /// See [`Problem::fill_held_out`].
+    alike: OnceLock<Arc<Vec<[usize; 2]>>>,
     /// Stretches that are fitted, points.
     pub train: Vec<[usize; 2]>,
     /// Stretches that are held out.
@@ -110,6 +114,7 @@ impl Problem {
             views: [Arc::clone(&nothing), nothing],
             drawn: None,
             measured: vec![true; record.len()],
+            alike: OnceLock::new(),
             normalised,
             blocks,
             sign,
@@ -131,9 +136,6 @@ impl Problem {
     #[must_use]
     pub(crate) fn fitted_where(mut self, measured: &[bool]) -> Self {
         if measured.len() == self.n() && !measured.iter().all(|m| *m) {
-            let mut drawn = self.normalised.pv.clone();
-            between(measured, &mut drawn);
-            self.drawn = Some(drawn);
             self.measured = measured.to_vec();
             let held_out = self.blocks.held_out.clone();
             self.divide_by(&held_out);
@@ -175,12 +177,21 @@ impl Problem {
     }
 
     fn divide_by(&mut self, held_out: &[bool]) {
+        self.alike = OnceLock::new();
+        self.drawn = (!self.measured.iter().all(|m| *m)).then(|| {
+            let kept: Vec<bool> = self.measured.iter().zip(held_out).map(|(m, held)| *m && !held).collect();
+            let mut drawn = self.normalised.pv.clone();
+            between(&kept, &mut drawn);
+            drawn
+        });
         let from = self.blocks.from;
         let stretches = |wanted: bool| {
             let mut out: Vec<[usize; 2]> = Vec::new();
             for (k, held) in held_out.iter().enumerate().skip(from) {
                 let fitted = wanted || self.measured[k];
-                if *held != wanted || self.blocks.masked[k] || !fitted {
+                // Filtered differences need the point before.
+                let follows_held_out = !wanted && k > 0 && held_out[k - 1];
+                if *held != wanted || self.blocks.masked[k] || !fitted || follows_held_out {
                     continue;
                 }
                 match out.last_mut() {
@@ -199,6 +210,42 @@ impl Problem {
         let from = self.blocks.from.max(1);
         self.views = [0.0, MOVES_RHO]
             .map(|rho| Arc::new(evaluator::View::of_stretches(self.fitted_pv(), &[], rho, from, &self.train)));
+    }
+
+    /// Puts on the held-out points of a signal what it does at the other point before which OP moved most alike: a scan of
+    /// the whole record sees nothing of them.
+    pub(crate) fn fill_held_out(&self, x: &mut [f64]) {
+        for [held, other] in self.alike.get_or_init(|| Arc::new(self.find_alike())).iter() {
+            x[*held] = x[*other];
+        }
+    }
+
+    fn find_alike(&self) -> Vec<[usize; 2]> {
+        let op = &self.normalised.mean;
+        let back = BACK.map(|periods| (periods * self.period).round() as usize);
+        let apart = |a: usize, b: usize, most: f64| {
+            let mut sum = 0.0;
+            for lag in back {
+                let difference = op[a.saturating_sub(lag)] - op[b.saturating_sub(lag)];
+                sum += difference * difference;
+                if sum >= most {
+                    break;
+                }
+            }
+            sum
+        };
+        let is_held = |k: &usize| self.blocks.held_out[*k];
+        let others: Vec<usize> =
+            (self.blocks.from..self.n()).filter(|k| !is_held(k) && !self.blocks.masked[*k]).collect();
+        let nearest = |held: usize| {
+            let start = (f64::INFINITY, None);
+            let nearer = |(least, at), other: &usize| {
+                let distance = apart(held, *other, least);
+                if distance < least { (distance, Some(*other)) } else { (least, at) }
+            };
+            others.iter().fold(start, nearer).1.map(|other| [held, other])
+        };
+        (0..self.n()).filter(is_held).filter_map(nearest).collect()
     }
 
     /// PV on the fitted stretches as the evaluator takes it.
@@ -278,7 +325,8 @@ mod tests {
         let problem = Problem::new(&Record::uniform(1.0, op, pv), None, 1, masked);
         let count = |x: &[[usize; 2]]| x.iter().map(|[a, b]| b - a).sum::<usize>();
         let (train, test) = (count(&problem.train), count(&problem.test));
-        assert_eq!(train + test + 1 + problem.blocks.from, 600);
+        let after_held_out = problem.blocks.held_out.windows(2).filter(|w| w[0] && !w[1]).count();
+        assert_eq!(train + test + after_held_out + 1 + problem.blocks.from, 600);
         assert!(test * 3 > train && train * 3 > test);
         assert_eq!(problem.target(View::Plain).len(), train);
         assert!(problem.train.iter().chain(&problem.test).all(|[a, b]| *b <= 300 || *a > 300));

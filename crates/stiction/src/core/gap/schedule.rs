@@ -230,9 +230,7 @@ pub(crate) fn is_calm(problem: &Problem, search: &Search, floor: Option<f64>) ->
     let Some(left) = residual_of(problem, search).filter(|left| reaches(problem, left, floor, CALM)) else {
         return false;
     };
-    let from = problem.blocks.from;
-    let whiteness = residual::whiteness(&left[from..], &problem.normalised.mean[from..]);
-    whiteness.is_noise()
+    residual::whiteness_where(&left, &problem.normalised.mean, &problem.train).is_noise()
 }
 
 /// Whether nothing is left to be found: white noise at the floor, or so little above it that no effect gains what its
@@ -314,7 +312,7 @@ pub(crate) fn run(
             from_other_starts(problem, &mut searches, work);
         }
     }
-    let gains = !calm && search_again(problem, &mut searches, floor, 0, work);
+    let gains = !calm && search_again(problem, &mut searches, floor, work);
     let exchanged = !calm && work.goes_on() && exchange_round(problem, &mut base, &mut searches, work);
     let best = searches.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()));
     let ended = if work.stopped {
@@ -394,17 +392,11 @@ fn go_on(searches: &mut [Search], at: &[usize], work: &mut Work<'_>, job: &(dyn 
 
 /// Other searches for slips, with the parameters found so far and beside them, for each of the most likely structures that
 /// gains by one of the two, while none explains everything. Says whether one gained.
-pub(crate) fn search_again(
-    problem: &Problem,
-    searches: &mut [Search],
-    floor: Option<f64>,
-    round: u64,
-    work: &mut Work<'_>,
-) -> bool {
+fn search_again(problem: &Problem, searches: &mut [Search], floor: Option<f64>, work: &mut Work<'_>) -> bool {
     let mut gains = false;
     let mut given_up: Vec<usize> = Vec::new();
     for again in 0..MOST_AGAIN {
-        let seed = work.seed.wrapping_add((AGAIN + 1 + 2 * (MOST_AGAIN * round + again)) << 32);
+        let seed = work.seed.wrapping_add((AGAIN + 1 + 2 * again) << 32);
         let (mut asked, mut gained) = (Vec::new(), Vec::new());
         for beside in [false, true] {
             let at = likely(problem, searches, floor, &given_up, work);

@@ -2,7 +2,8 @@
 //!
 //! An effect's parameters are held meanwhile, its loads are free columns; a process whose gain goes with its level, or
 //! which has a zero, it does not know: what these do is taken out of PV as the effect's search has it so far, so that slips
-//! and effect are found in turn. It sees the whole record; what it finds are starts for the fits to the training blocks.
+//! and effect are found in turn. It fits the training blocks; its scans take the whole record, but on held-out blocks what PV
+//! does elsewhere after the same moves of OP.
 
 use std::sync::Arc;
 
@@ -67,6 +68,7 @@ pub(crate) fn search_slips(problem: &Problem, search: &Search, length: Length, s
     let mut slip_problem = SlipProblem::new(&normalised, search.sign);
     slip_problem.behind = plan.shapes_signal().then_some(&held as &dyn BehindStem);
     let tau = search.best.first().map_or(LOAD_TAU * problem.period, |b| libm::exp(b.theta.log_tau));
+    slip_problem.counted.clone_from(&problem.train);
     slip_problem.loads = loads(&plan, tau, problem);
     let class = plan.class();
     let request = Request {
@@ -100,6 +102,7 @@ fn normalised_of(problem: &Problem, search: &Search, plan: &Plan) -> Option<Norm
         let added = PlainPass::new(problem, search.sign).added(&search.structure, best)?;
         normalised.pv.iter_mut().zip(&added).for_each(|(y, a)| *y -= a);
     }
+    problem.fill_held_out(&mut normalised.pv);
     let mean = stats::mean(&normalised.pv);
     normalised.pv.iter_mut().for_each(|y| *y -= mean);
     Some(normalised)
@@ -166,4 +169,70 @@ pub(crate) fn frictionless(problem: &Problem) -> Vec<Parameters> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::evidence::Left;
+    use super::super::express::fit;
+    use super::super::noise;
+    use super::super::schedule::{self, Work};
+    use super::super::signatures;
+    use super::super::types::Serial;
+    use super::super::weigh::Scales;
+    use super::*;
+    use crate::core::record::Record;
+    use crate::core::sim::noise::Noise;
+    use crate::core::sim::process::{ProcessModel, ProcessState};
+    use crate::core::sim::slips::Law;
+    use crate::core::sim::valve::he_step;
+
+    /// A sticking valve, a first-order process and a load that steps.
+    fn record() -> Record {
+        let turn = |k: usize, period: f64| libm::sin(2.0 * core::f64::consts::PI * k as f64 / period);
+        let op: Vec<f64> = (0..500).map(|k| 50.0 + 4.0 * turn(k, 60.0) + turn(k, 331.0)).collect();
+        let model = ProcessModel { gain: 2.0, tau: 5.0, tau2: 0.0, dead_time: 2.5, integrating: false };
+        let (mut process, mut noise, mut stem) = (ProcessState::at_rest(model, 0.0), Noise::new(4, 1), 50.0);
+        let follow = |(k, u): (usize, &f64)| {
+            let y = process.step(stem - 50.0, 0.0) + 0.1 * noise.gaussian() + if k > 260 { 2.0 } else { 0.0 };
+            stem = he_step(stem, *u, 3.0, 1.0);
+            y
+        };
+        let pv = op.iter().enumerate().map(follow).collect();
+        Record::uniform(1.0, op, pv)
+    }
+
+    #[test]
+    fn nothing_that_an_effect_is_chosen_by_sees_a_held_out_block() {
+        let record = record();
+        let traces = signatures::traces(&record, 60.0, &[]);
+        let problem = Problem::new(&record, Some(60.0), 1, traces.masked.clone());
+        let mut other = problem.clone();
+        let mut noise = Noise::new(9, 1);
+        for k in (0..other.n()).filter(|k| problem.blocks.held_out[*k]) {
+            other.normalised.pv[k] = 40.0 * noise.gaussian();
+        }
+        let other = other.held_out_by(&problem.blocks.held_out);
+        let floor = noise::floor(&record.pv, &traces.measured, false);
+        let chosen_by = |problem: &Problem| {
+            let mut work =
+                Work { executor: &Serial, budget: 60_000, done: 0, stopped: false, spent: false, seed: 1, asked: None };
+            let found = schedule::run(problem, Some(Law::He), &[], floor.noise_floor, &mut work).unwrap();
+            let base = fit(problem, &found.base, floor.noise_floor, &|_| {}).unwrap();
+            let scales = Scales { problem, floor: &floor, base: &base, search: &found.base, traces: &traces, seed: 1 };
+            let of_fit = |fit: &crate::core::gap::types::Fit| {
+                let Left { over_floor, colour, with_op, one_step, .. } = Left::of(fit, floor.noise_floor);
+                (over_floor, colour, with_op, one_step.map(|sides| sides[0]))
+            };
+            let of_search = |search: &Search| {
+                let weighed = scales.weigh(search)?;
+                Some((weighed.id, weighed.lead, weighed.evidence, of_fit(&weighed.fit?)))
+            };
+            let effects: Vec<_> = found.searches.iter().map(of_search).collect();
+            (work.done, of_fit(&base), effects, base.rmse)
+        };
+        let (seen, garbled) = (chosen_by(&problem), chosen_by(&other));
+        assert!(garbled.3 > 3.0 * seen.3, "held-out errors tell of them");
+        assert_eq!((seen.0, seen.1, seen.2), (garbled.0, garbled.1, garbled.2));
+    }
 }

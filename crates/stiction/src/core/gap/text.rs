@@ -345,9 +345,6 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
             "; no simulation can close it, because it raises what can be predicted at best to {} PV units",
             number(floor)
         )),
-        (None, None) if e.id == effects::random_friction::EFFECT.id => text.push_str(
-            "; when the stem slips is read from PV, so no held-out data can say how much of the gap it closes",
-        ),
         (None, None) if is_recorder(&e.id) && d.gap.noise_floor.is_none() => text.push_str(
             "; its stored values are too few, or the record too long, to tell how much of the gap is its doing",
         ),

@@ -270,7 +270,15 @@ pub struct Fit {
     pub colour: f64,
     /// Largest correlation of the residual with earlier OP or its moves, in standard errors of white noise.
     pub with_op: f64,
+    /// Fitted points.
+    pub points: usize,
+    /// How likely PV is one step ahead.
+    pub one_step: OneStep,
 }
+
+/// Log likelihood of PV one step ahead, nats a point in PV's standard deviations, at fitted and at held-out points: for noise that is
+/// white, then an autoregression of first to fourth order, fitted to the former. Zero in a record of too few points.
+pub type OneStep = [[f64; 2]; 5];
 
 /// Noise that no model explains.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,6 +1,5 @@
 //! How far each effect closes the gap: held-out free run before and after, with an interval from its blocks.
 
-use super::break_away::Replay;
 use super::candidate::Candidate;
 use super::decide;
 use super::effects::{self, Effect, Rest};
@@ -19,7 +18,7 @@ use crate::core::sim::noise::Noise;
 const RESAMPLES: usize = 400;
 const LEVEL: f64 = 0.9;
 /// Error of the base over the floor below which there is nothing to close.
-const NOTHING_LEFT: f64 = 1.05;
+pub(super) const NOTHING_LEFT: f64 = 1.05;
 /// Fewest fitted points a parameter: with less an effect may meet them all and say nothing.
 const POINTS_A_PARAMETER: usize = 2;
 
@@ -128,9 +127,7 @@ impl Scales<'_> {
             .recorder
             .filter(|_| met && !self.traces.beyond_reach)
             .and_then(|recorder| fit(self.problem, self.search, self.floor.noise_floor, &|p| recorder(self.traces, p)));
-        // Points that are left out of the fits for a passing effect's sake are what it is about, wherever they stand.
-        let of_its_own = made.is_some() && effect.local;
-        let blocks = self.blocks(made.as_ref().unwrap_or(self.base), of_its_own);
+        let blocks = self.blocks(made.as_ref().unwrap_or(self.base), true, made.is_some() && effect.local);
         let [before, after] = self.gaps(&blocks);
         let (closed_pct, closed_interval) = made.as_ref().map_or((None, None), |_| self.closed_in(&blocks));
         EffectResult {
@@ -152,16 +149,15 @@ impl Scales<'_> {
         }
     }
 
-    /// Bands that differ at random, as a replay has them.
-    #[must_use]
-    pub(crate) fn replayed(&self, effect: &'static Effect, replay: &Replay) -> EffectResult {
-        let parameters = replay.parameters.clone();
-        EffectResult { parameters, lead: 0.0, ..self.recorded(effect, None) }
-    }
-
     /// Per cent closed on held-out blocks and its interval; nothing where the base has no gap.
     fn closed(&self, after: &Fit) -> (Option<f64>, Option<[f64; 2]>) {
-        self.closed_in(&self.blocks(after, false))
+        self.closed_in(&self.blocks(after, true, false))
+    }
+
+    /// Per cent of the gap that a recorder's effect closes on the other blocks, of those that a free run can follow.
+    pub(crate) fn closes_where_fitted(&self, recorded: &EffectResult) -> Option<f64> {
+        let is_local = effects::by_id(&recorded.id).is_some_and(|e| e.local);
+        self.closed_in(&self.blocks(recorded.fit.as_ref()?, false, is_local)).0
     }
 
     /// Gaps before and after over blocks.
@@ -191,14 +187,14 @@ impl Scales<'_> {
         (Some(closed), interval)
     }
 
-    /// Points, squared error before and after, of every held-out block; with points that are left out of all fits, masked
-    /// or not measured, or without.
-    fn blocks(&self, after: &Fit, with_unfitted: bool) -> Vec<[f64; 3]> {
+    /// Points, squared error before and after, of every held-out block or of every other one. Points that are left out of
+    /// the fits for a passing effect's sake are what it is about: `with_unfitted` they count wherever they stand.
+    fn blocks(&self, after: &Fit, held_out: bool, with_unfitted: bool) -> Vec<[f64; 3]> {
         let blocks = &self.problem.blocks;
         let mut out = vec![[0.0; 3]; blocks.number.last().map_or(0, |n| n + 1)];
         for (k, y) in self.pv().enumerate() {
             let fitted = !blocks.masked[k] && self.problem.is_measured(k);
-            let counts = blocks.held_out[k] && !blocks.masked[k] || with_unfitted && !fitted;
+            let counts = blocks.held_out[k] == held_out && !blocks.masked[k] || with_unfitted && !fitted;
             if k >= blocks.from && counts {
                 let (b, a) = (y - self.base.prediction[k], y - after.prediction[k]);
                 let sums = &mut out[blocks.number[k]];
@@ -222,8 +218,7 @@ fn is_meant(structure: &Structure, best: &Candidate) -> bool {
 pub(crate) fn leaves_noise(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
     let (Some(floor), Some(best)) = (floor, search.best.first()) else { return true };
     let Some(left) = residual_of(problem, search) else { return true };
-    let counts = |k: &usize| !problem.blocks.masked[*k] && problem.is_measured(*k);
-    let points = (problem.blocks.from..problem.n()).filter(counts);
+    let points = problem.train.iter().flat_map(|[a, b]| *a..*b);
     let rest = Rest { points: points.map(|k| (k as f64, left[k] * problem.normalised.deviation / floor)).collect() };
     let plan = search.structure.plan(&best.theta);
     search.structure.each().all(|e| (e.leaves_noise)(&plan, &rest))

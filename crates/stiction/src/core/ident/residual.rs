@@ -47,15 +47,28 @@ impl Whiteness {
 #[must_use]
 pub(crate) fn whiteness(residual: &[f64], op: &[f64]) -> Whiteness {
     let n = residual.len().min(op.len());
-    let level = stats::mean(&residual[..n]);
-    let e: Vec<f64> = residual[..n].iter().map(|x| x - level).collect();
+    whiteness_where(&residual[..n], &op[..n], &[[0, n]])
+}
+
+/// The same of the points on some stretches: others count for nothing.
+#[must_use]
+pub(crate) fn whiteness_where(residual: &[f64], op: &[f64], stretches: &[[usize; 2]]) -> Whiteness {
+    let n = residual.len();
+    let kept: Vec<f64> = stretches.iter().flat_map(|[a, b]| &residual[*a..*b]).copied().collect();
+    let level = stats::mean(&kept);
+    let (mut e, mut counts) = (vec![0.0; n], vec![0.0; n]);
+    for k in stretches.iter().flat_map(|[a, b]| *a..*b) {
+        (e[k], counts[k]) = (residual[k] - level, 1.0);
+    }
     let power = stats::dot(&e, &e);
-    if n < 2 * LAGS || power.is_nan() || power <= 0.0 {
+    if kept.len() < 2 * LAGS || power.is_nan() || power <= 0.0 {
         return Whiteness { r1: 0.0, portmanteau: 0.0, cross: 0.0, inflation: 1.0, white: true, follows_op: false };
     }
-    let count = n as f64;
+    let count = kept.len() as f64;
     let at_lag = |x: &[f64], y: &[f64], lag: usize| stats::dot(&x[lag..], &y[..y.len() - lag]);
-    let r: Vec<f64> = (1..=2 * LAGS).map(|lag| at_lag(&e, &e, lag) / power).collect();
+    // Pairs across a gap are missing from the sums.
+    let of_pairs = |lag: usize| (count - lag as f64) / at_lag(&counts, &counts, lag).max(1.0);
+    let r: Vec<f64> = (1..=2 * LAGS).map(|lag| at_lag(&e, &e, lag) / power * of_pairs(lag)).collect();
     let terms = r.iter().take(LAGS).enumerate().map(|(k, r)| r * r / (count - k as f64 - 1.0));
     let portmanteau = count * (count + 2.0) * terms.sum::<f64>();
     let lasting = 2.0 / count.sqrt();
@@ -65,7 +78,7 @@ pub(crate) fn whiteness(residual: &[f64], op: &[f64]) -> Whiteness {
     let level: Vec<f64> = op[..n].iter().map(|u| u - middle).collect();
     let mut cross: f64 = 0.0;
     for signal in [&level, &moves] {
-        let scale = (power * stats::dot(signal, signal) / count).sqrt();
+        let scale = (power * stats::dot(signal, signal) / n as f64).sqrt();
         if scale > 0.0 {
             cross = (1..=LAGS).map(|lag| (at_lag(&e, signal, lag) / scale).abs()).fold(cross, f64::max);
         }

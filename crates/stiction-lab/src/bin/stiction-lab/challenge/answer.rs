@@ -1,10 +1,10 @@
-//! One line of a challenge's answers: the gap document, and the decision with each effect withheld.
+//! One line of a challenge's answers: the gap document, and what it was decided from.
 
 use serde_json::{Value, json};
 
 use stiction::core::detect::oscillation;
 use stiction::core::gap::document::GapDocument;
-use stiction::core::gap::{Cause, Diagnosis, GapOptions, Serial, diagnose, effects};
+use stiction::core::gap::{Cause, Diagnosis, GapOptions, Serial, diagnose};
 use stiction::core::record::Record;
 
 /// Diagnoses a record as `gap` does. Returns the document too.
@@ -23,8 +23,8 @@ pub(super) fn ask_for(name: &str, record: &Record, options: &GapOptions) -> anyh
 pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagnosis, GapDocument)>) -> Value {
     let answer = match result {
         Ok((diagnosis, document)) => json!({ "document": document, "base_at_floor": diagnosis.findings.base.at_floor,
-            "evidence": diagnosis.evidence(), "withheld": withheld(diagnosis) }),
-        Err(error) => json!({ "document": null, "error": format!("{error:#}"), "withheld": [] }),
+            "evidence": diagnosis.evidence() }),
+        Err(error) => json!({ "document": null, "error": format!("{error:#}") }),
     };
     let mut line = json!({ "recording": name, "made_with": made_with });
     if let (Some(line), Value::Object(answer)) = (line.as_object_mut(), answer) {
@@ -33,17 +33,7 @@ pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagn
     line
 }
 
-fn cause(cause: &Cause) -> Value {
+/// A cause as a line has it.
+pub(super) fn cause(cause: &Cause) -> Value {
     json!({ "id": cause.id, "probability": cause.probability, "confirmed": cause.confirmed })
-}
-
-/// The same fits decided with each effect withheld in turn.
-fn withheld(diagnosis: &Diagnosis) -> Value {
-    effects::ALL
-        .iter()
-        .map(|effect| {
-            let again = diagnosis.without(&[effect.id]);
-            json!({ "without": effect.id, "cause": cause(&again.cause), "stage": again.cause.stage.name() })
-        })
-        .collect()
 }

@@ -151,8 +151,8 @@ fn examples(case: &Case, withheld: f64) -> Vec<(Features, Came, f64)> {
         }
     };
     let mut out = Vec::new();
-    let mut add = |without: &[&str], right: Option<&str>, weight: f64| {
-        let decision = decide(evidence, without, &blank);
+    let mut add = |evidence: &Evidence, right: Option<&str>, weight: f64| {
+        let decision = decide(evidence, &blank);
         if decision.by == By::Choice {
             out.push((decision.features, come(&decision, right), weight));
         }
@@ -161,10 +161,10 @@ fn examples(case: &Case, withheld: f64) -> Vec<(Features, Came, f64)> {
     match case.truth.answer {
         Right::Pair => {}
         Right::Known => {
-            add(&[], Some(truth), 1.0);
-            add(&[truth], None, withheld);
+            add(evidence, Some(truth), 1.0);
+            add(&evidence.without(truth), None, withheld);
         }
-        Right::None | Right::Foreign => add(&[], None, 1.0),
+        Right::None | Right::Foreign => add(evidence, None, 1.0),
     }
     out
 }
@@ -196,7 +196,6 @@ fn calibrated(args: &Args, cases: &[Case]) -> Option<Calibration> {
         second: tally.second.smoothed(),
         coloured_noise: tally.coloured.smoothed(),
         neighbour: Calibration::shipped().neighbour,
-        random_friction: Calibration::shipped().random_friction,
         unknown: tally.unknown.smoothed(),
         from: String::new(),
     })
@@ -246,7 +245,7 @@ impl Tally {
         let rules: Vec<Calibration> = parts.iter().map(|c| Calibration { name_from, ..c.clone() }).collect();
         for (index, case) in cases.iter().enumerate() {
             let Some(evidence) = &case.evidence else { continue };
-            let decision = decide(evidence, &[], &rules[index % rules.len()]);
+            let decision = decide(evidence, &rules[index % rules.len()]);
             if let (By::Trace, Some(second)) = (decision.by, &decision.second) {
                 tally.second.add(case.truth.effect.split('+').any(|part| part == second.id));
             }
@@ -305,16 +304,12 @@ fn again(case: &Case, rule: &Calibration) -> Answer {
         confirmed: if decision.cause.id == before.id { before.confirmed } else { holds_out(evidence, &decision.cause) },
     };
     if let Some(document) = &mut answer.document {
-        let decision = decide(evidence, &[], rule);
+        let decision = decide(evidence, rule);
         document.cause = called(&decision, &document.cause);
         decision.cause.stage.name().clone_into(&mut document.place.stage);
         let other = |a: &Answered| Alternative { id: a.id.clone(), probability: a.probability };
         document.second_cause = decision.second.as_ref().map(other);
         document.alternatives = decision.alternatives.iter().map(other).collect();
-    }
-    for withheld in &mut answer.withheld {
-        let decision = decide(evidence, &[withheld.without.as_str()], rule);
-        withheld.cause = called(&decision, &withheld.cause);
     }
     answer
 }

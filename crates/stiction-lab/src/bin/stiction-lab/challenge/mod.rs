@@ -6,6 +6,7 @@ mod calibrate;
 mod neighbours;
 mod picture;
 mod real;
+mod withhold;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -54,8 +55,10 @@ pub struct Args {
 enum Command {
     /// Make recordings and their truth, sealed by its SHA-256.
     New(NewArgs),
-    /// Diagnose the recordings with the whole catalogue and with each effect withheld. Resumes an interrupted run.
+    /// Diagnose the recordings. Resumes an interrupted run.
     Run(RunArgs),
+    /// Open the truth and diagnose answered recordings again, each by a catalogue without its effect.
+    Withhold(withhold::Args),
     /// Check the truth's seal, open it, and print all figures.
     Score(ScoreArgs),
     /// Fit the decision's probabilities and threshold to answered challenges of split A.
@@ -126,6 +129,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     match &args.command {
         Command::New(args) => new(args, format),
         Command::Run(args) => answer_all(args, format),
+        Command::Withhold(args) => withhold::run(args, format),
         Command::Score(args) => score_all(args, format),
         Command::Calibrate(args) => calibrate::run(args, format),
         Command::Real(args) => real::run(args, format),
@@ -278,9 +282,7 @@ fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     let file = fs::OpenOptions::new().append(true).open(&path).with_context(|| path.display().to_string())?;
     let file = Mutex::new(file);
     let left: Vec<PathBuf> = all.iter().filter(|p| !before.contains_key(&name_of(p))).cloned().collect();
-    // Without the effect that explains a record, a catalogue would try pairs on it.
-    let options =
-        GapOptions { budget_evaluations: args.evaluations, seed: args.seed, pairs: true, ..GapOptions::default() };
+    let options = GapOptions { budget_evaluations: args.evaluations, seed: args.seed, ..GapOptions::default() };
     let work = |recording: &PathBuf| -> anyhow::Result<(String, String)> {
         let name = name_of(recording);
         let result = record_of(recording).and_then(|record| answer::ask_for(&name, &record, &options));

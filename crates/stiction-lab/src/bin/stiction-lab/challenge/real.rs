@@ -160,7 +160,8 @@ fn spoil(record: &Record, options: &GapOptions, seed: u64) -> anyhow::Result<Val
     for Spoilt { effect, record } in spoilt(record, seed) {
         made.push(match diagnose(&record, options, &Serial) {
             Ok(after) => {
-                let without = after.without(&[effect]).cause.id;
+                let lacking = GapOptions { without: vec![effect.to_owned()], ..options.clone() };
+                let without = diagnose(&record, &lacking, &Serial)?.cause.id;
                 json!({ "effect": effect, "answer": called(&after), "found": after.cause.id == effect,
                     "without": without, "kept": without == before.cause.id })
             }

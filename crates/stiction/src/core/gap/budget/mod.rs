@@ -16,7 +16,7 @@ pub mod search;
 pub mod series;
 pub(crate) mod shapes;
 mod smallest;
-mod student;
+pub(super) mod student;
 
 use super::neighbour::Load;
 use super::types::Fit;

@@ -25,8 +25,6 @@ pub enum Way {
     Controller,
     /// By a lag of PV that its noise shares.
     Filter,
-    /// By a replay of OP with a band of its own for each slip.
-    Replay,
     /// Against other loops' records, where these are given.
     Neighbour,
 }
@@ -141,7 +139,7 @@ impl Param {
     }
 }
 
-/// What a fit leaves of PV, fitted and held-out points together.
+/// What a fit leaves of PV at fitted points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rest {
     /// Point of the record and what is left there, noise floors.

@@ -19,7 +19,6 @@ pub(crate) mod outliers;
 mod positioner_lag;
 pub(crate) mod quantisation;
 pub(crate) mod ramp;
-pub(crate) mod random_friction;
 mod rate_limit;
 pub(crate) mod sensor_filter;
 pub(crate) mod sinusoid;
@@ -37,7 +36,7 @@ pub(crate) use effect::MARGIN;
 pub use effect::{Effect, Param, Reach, Rest, Start, Unit, Way};
 
 /// Every effect.
-pub const ALL: [&Effect; 28] = [
+pub const ALL: [&Effect; 27] = [
     &asymmetric_stiction::EFFECT,
     &slip_overshoot::EFFECT,
     &sliding_valve::EFFECT,
@@ -64,7 +63,6 @@ pub const ALL: [&Effect; 28] = [
     &frozen_sensor::EFFECT,
     &time_skew::EFFECT,
     &stiction::EFFECT,
-    &random_friction::EFFECT,
     &neighbour::EFFECT,
 ];
 

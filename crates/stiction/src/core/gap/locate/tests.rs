@@ -85,6 +85,8 @@ fn diagnosis(valve: Vec<f64>, prediction: Vec<f64>) -> Case {
         evaluations: 1,
         at_floor: false,
         colour: 0.0,
+        points: 0,
+        one_step: [[0.0; 2]; 5],
         with_op: 0.0,
         model,
     };
