@@ -116,7 +116,7 @@ impl Columns {
                         self.mode.as_ref().and_then(|mode| mode.get(row)).and_then(|word| word.as_deref()).map(mode_of)
                     }
                 };
-                rows.cell(signal, cell);
+                rows.cell(signal, cell.map(|value| (value, None)));
             }
         }
         rows.finish()

@@ -22,10 +22,13 @@ pub struct ReadArgs {
     /// from 1; overrides roles recognised from names. Long tables also take tag=, value=, quality=.
     #[arg(long, value_name = "MAP", value_parser = Map::parse, help_heading = "Reading files")]
     pub map: Option<Map>,
-    /// Time format: s, ms, us, ns (since 1970), excel, excel1904, datenum (days), ymd, dmy, mdy, or a pattern such as
-    /// "%d/%m/%Y %H:%M:%S" [default: recognised from the file].
+    /// Time format: s, ms, us, ns, min, h, d (since 1970), excel, excel1904, datenum (days), ticks (.NET), filetime (Windows),
+    /// ymd, dmy, mdy, or a pattern such as "%d/%m/%Y %H:%M:%S" [default: recognised from the file].
     #[arg(long, value_name = "FORM", value_parser = TimeFormat::parse, help_heading = "Reading files")]
     pub time_format: Option<TimeFormat>,
+    /// Unit of times that are numbers: s, ms, us, ns, min, h or d.
+    #[arg(long, value_name = "UNIT", value_parser = TimeFormat::unit, conflicts_with = "time_format", help_heading = "Reading files")]
+    pub time_unit: Option<TimeFormat>,
     /// Time zone of timestamps without one: Europe/Berlin, UTC, +01:00. Needed only if the file does not show it.
     #[arg(long, value_name = "ZONE", value_parser = Zone::parse, allow_hyphen_values = true, help_heading = "Reading files")]
     pub tz: Option<Zone>,
@@ -44,6 +47,15 @@ pub struct ReadArgs {
     /// Meaning of the quality codes [default: recognised from the file].
     #[arg(long, value_enum, value_name = "CODES", help_heading = "Reading files")]
     pub quality: Option<Codes>,
+    /// Words and numbers that stand for a missing value, separated by commas; none: every number is a value.
+    #[arg(
+        long,
+        value_name = "WORDS",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        help_heading = "Reading files"
+    )]
+    pub missing: Vec<String>,
 }
 
 impl ReadArgs {
@@ -52,13 +64,14 @@ impl ReadArgs {
     pub fn options(&self) -> ReadOptions {
         ReadOptions {
             map: self.map.clone(),
-            time_format: self.time_format.clone(),
+            time_format: self.time_format.clone().or_else(|| self.time_unit.clone()),
             zone: self.tz.clone(),
             decimal: self.decimal,
             delimiter: self.delimiter,
             encoding: self.encoding,
             sheet: self.sheet.clone(),
             codes: self.quality,
+            missing: self.missing.clone(),
         }
     }
 

@@ -14,8 +14,9 @@ use crate::commands::convert::{resample, write_store};
 use stiction::core::units::{format_rfc3339, loop_name_from};
 use stiction_files::compact::{CompactLoop, check_sampling_time, default_tags, read, rows_of};
 use stiction_files::even::even;
+use stiction_files::export::TimeFormat;
 use stiction_files::export::moment;
-use stiction_files::{FileError, InputKind, LoadedLoop, choose_loop, csv};
+use stiction_files::{FileError, InputKind, LoadedLoop, choose_loop};
 
 /// Most loops and values asked for interactively.
 const MOST_LOOPS: usize = 10_000;
@@ -184,33 +185,29 @@ fn said(args: &NewArgs, k: usize, alone: bool, one: &mut CompactLoop) -> anyhow:
 fn from_file(args: &NewArgs, path: &Path, ts_s: Option<f64>) -> anyhow::Result<Vec<CompactLoop>> {
     let stem = path.file_stem().map_or_else(|| "loop".into(), |stem| stem.to_string_lossy());
     let name = loop_name_from(&stem);
-    if InputKind::detect(path)? == InputKind::Csv {
-        match csv::read(path) {
-            // The table's own sampling is checked where no doubt can be about its times: with --ts they do not count.
-            Ok(table) if ts_s.is_some() => {
-                table.warnings.iter().for_each(|warning| tracing::warn!("{}: {warning}", path.display()));
-                return Ok(vec![stored(args, path, &LoadedLoop::new(name, table.samples), ts_s)?]);
-            }
-            Err(FileError::Csv { cause: csv::CsvError::NoColumn { column: "t", .. }, .. }) if is_op_pv(path) => {
-                return match ts_s {
-                    Some(ts_s) => Ok(vec![columns(path, &name, ts_s)?]),
-                    None => bail!("{}: has no column t; give the sampling time with --ts", path.display()),
-                };
-            }
-            _ => {}
-        }
+    if InputKind::detect(path)? == InputKind::Csv && is_op_pv(path) {
+        return match ts_s {
+            Some(ts_s) => Ok(vec![columns(path, &name, ts_s)?]),
+            None => bail!("{}: has no column t; give the sampling time with --ts", path.display()),
+        };
     }
-    let loaded = args.reading.load_file(path)?;
+    let mut loaded = args.reading.load_file(path);
+    if let (Err(FileError::Export { .. }), Some(_), None) = (&loaded, ts_s, &args.reading.time_format) {
+        // With --ts the table's own times do not count, so no doubt can be about them.
+        let reading = ReadArgs { time_format: TimeFormat::parse("s").ok(), ..args.reading.clone() };
+        loaded = reading.load_file(path).or(loaded);
+    }
+    let loaded = loaded?;
     loaded.warnings.iter().for_each(|warning| tracing::warn!("{}: {warning}", path.display()));
     loaded.loops.iter().map(|one| stored(args, path, one, ts_s)).collect()
 }
 
-/// Whether a table's header is `op,pv` only.
+/// Whether a table's header has `op` and `pv`, but no `t`.
 fn is_op_pv(path: &Path) -> bool {
     let header = std::fs::read(path).ok().and_then(|bytes| bytes.split(|b| *b == b'\n').next().map(<[u8]>::to_vec));
     let header = String::from_utf8_lossy(&header.unwrap_or_default()).trim_start_matches('\u{feff}').to_lowercase();
     let names: Vec<&str> = header.split(',').map(str::trim).collect();
-    names.contains(&"op") && names.contains(&"pv")
+    names.contains(&"op") && names.contains(&"pv") && !names.contains(&"t")
 }
 
 fn stored(args: &NewArgs, path: &Path, one: &LoadedLoop, ts_s: Option<f64>) -> anyhow::Result<CompactLoop> {

@@ -1,7 +1,7 @@
 //! `convert IN OUT`: between tables, recordings and compact stores, chosen by OUT's extension.
 
 use crate::cli::manual::refuse_existing;
-use crate::cli::reading::{ReadArgs, named};
+use crate::cli::reading::{ReadArgs, config_of, named};
 use crate::cli::{Format, Outcome, UsageError};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
@@ -14,6 +14,7 @@ use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use stiction::core::record::Signal;
+use stiction::core::signal::align::Quality;
 use stiction::core::units::file_stem_of;
 use stiction_files::compact::{self, CompactLoop};
 use stiction_files::even::even;
@@ -110,6 +111,8 @@ pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
         crate::cli::warn(format_args!("{place}: {warning}"));
     }
     select(&mut loaded, args.loop_name.as_deref(), &place)?;
+    let quality = if config_of(inputs)?.input.quality == "classic" { Quality::Classic } else { Quality::Ua };
+    loaded.loops.iter_mut().for_each(|one| *one = one.judged(quality));
     if let Some(ts_s) = args.resample {
         for one in &mut loaded.loops {
             *one = even(one, ts_s).map_err(|fault| anyhow!("{place}: {}: {fault}", one.name))?;
@@ -186,7 +189,7 @@ fn write_table(one: &LoadedLoop, path: &Path) -> anyhow::Result<usize> {
     let context = || format!("{}: cannot be written", path.display());
     let file = File::create(path).with_context(context)?;
     let mut out = BufWriter::with_capacity(1 << 16, file);
-    let rows = csv::write(&one.samples, &mut out).with_context(context)?;
+    let rows = csv::write(one, &mut out).with_context(context)?;
     let file = out.into_inner().map_err(std::io::IntoInnerError::into_error).with_context(context)?;
     file.sync_all().with_context(context)?;
     Ok(rows)

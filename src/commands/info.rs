@@ -13,10 +13,13 @@ use stiction_engine::analysis::repeated_timestamps;
 use stiction_engine::codec;
 use stiction_engine::codec::topic::{Leaf, Topic};
 use stiction_files::inputs::Unit;
-use stiction_files::{End, InputKind, Item, METADATA_PREFIX, Message, RecordingReader};
+use stiction_files::{End, InputKind, Item, METADATA_PREFIX, Message, ReadError, RecordingReader};
 
 /// Most timestamps used to find the sampling time.
 const STAMPS: usize = 4096;
+
+/// Most columns listed.
+const COLUMNS: usize = 20;
 
 /// Show the contents and integrity of tables, exports, recordings and compact stores
 #[derive(Debug, clap::Args)]
@@ -57,6 +60,8 @@ struct LoopInfo {
     comment: Option<String>,
     signals: BTreeMap<&'static str, SignalInfo>,
     results: BTreeMap<&'static str, u64>,
+    /// First and last row as understood.
+    rows: Vec<String>,
     #[serde(skip)]
     stamps: BTreeMap<&'static str, Vec<i64>>,
 }
@@ -68,6 +73,8 @@ struct Info {
     kind: &'static str,
     /// Format recognised in an export.
     recognised: Option<String>,
+    /// What each of its columns or tags is read as.
+    columns: Vec<String>,
     bytes: u64,
     /// Bytes per raw sample of a recording, results and index included.
     bytes_per_sample: Option<f64>,
@@ -143,6 +150,7 @@ impl Info {
             file: path.display().to_string(),
             kind: kind.name(),
             recognised: None,
+            columns: Vec::new(),
             bytes,
             bytes_per_sample: None,
             state: End::Clean.word(),
@@ -217,10 +225,12 @@ fn of_table(args: &InfoArgs, unit: &Unit, kind: InputKind) -> anyhow::Result<Inf
         crate::cli::warn(format_args!("{name}: {warning}"));
     }
     info.recognised = loaded.recognised.as_ref().map(ToString::to_string);
+    info.columns = loaded.recognised.map(|found| found.columns).unwrap_or_default();
     let mut sampling = Vec::new();
     for one in loaded.loops {
         let mut summary = LoopInfo { name: one.name, ..LoopInfo::default() };
         one.samples.iter().for_each(|sample| summary.take(sample));
+        summary.rows = first_and_last(&one.samples);
         for note in repeated_timestamps(&one.samples) {
             crate::cli::warn(format_args!("{name}: loop {}: {note}", summary.name));
         }
@@ -241,6 +251,20 @@ fn of_table(args: &InfoArgs, unit: &Unit, kind: InputKind) -> anyhow::Result<Inf
         info.reason = Some("some loops were left out".to_owned());
     }
     Ok(info)
+}
+
+/// The first and the last row of a table, as understood.
+fn first_and_last(samples: &[Sample]) -> Vec<String> {
+    let times = || samples.iter().map(|sample| sample.t_ns);
+    let row = |t_ns: i64| {
+        let cells = samples.iter().filter(|sample| sample.t_ns == t_ns).map(|sample| match sample.value {
+            Value::Number(number) => format!(", {} {number}", sample.signal.name()),
+            Value::Mode(mode) => format!(", {} {}", sample.signal.name(), mode.name()),
+            Value::Missing => format!(", {} missing", sample.signal.name()),
+        });
+        format_rfc3339(t_ns) + &cells.collect::<String>()
+    };
+    times().min().into_iter().chain(times().max()).map(row).collect()
 }
 
 /// Where a channel's messages are counted.
@@ -282,6 +306,9 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
     }
     info.metadata = reader.metadata().clone();
     info.close();
+    if let (Some(first), true) = (&info.first_unreadable, info.loops.iter().all(|one| one.signals.is_empty())) {
+        return Err(ReadError::Nothing { path: path.to_owned(), first: first.clone() }.into());
+    }
     let samples: u64 = info.loops.iter().flat_map(|one| one.signals.values()).map(|counts| counts.samples).sum();
     info.bytes_per_sample = (samples > 0).then(|| (info.bytes as f64 / samples as f64 * 10.0).round() / 10.0);
     Ok(info)
@@ -350,6 +377,15 @@ fn as_text(info: &Info) -> String {
     if let (Some(start), Some(end)) = (info.start_ns, info.end_ns) {
         let _ = writeln!(text, "  time        {} to {}", format_rfc3339(start), format_rfc3339(end));
     }
+    if let Some(found) = &info.recognised {
+        let _ = writeln!(text, "  read as     {found}");
+    }
+    for column in info.columns.iter().take(COLUMNS) {
+        let _ = writeln!(text, "  column      {column}");
+    }
+    if let Some(more) = info.columns.len().checked_sub(COLUMNS + 1) {
+        let _ = writeln!(text, "  column      and {} more", more + 1);
+    }
     let _ = writeln!(text, "  messages    {}{}", info.messages, named(&info.results));
     if let Some(each) = info.bytes_per_sample {
         let _ = writeln!(text, "  per sample  {each} bytes, results and index included");
@@ -385,6 +421,9 @@ fn loop_text(text: &mut String, one: &LoopInfo) {
     let _ = writeln!(text, "{}", named(&one.results));
     if let Some([op, pv]) = &one.tags {
         let _ = writeln!(text, "  tags        {op}, {pv}");
+    }
+    for (which, row) in ["first row", "last row"].iter().zip(&one.rows) {
+        let _ = writeln!(text, "  {which:<12}{row}");
     }
     for line in one.comment.iter().flat_map(|comment| comment.lines()) {
         let _ = writeln!(text, "  comment     {line}");

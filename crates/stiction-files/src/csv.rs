@@ -1,260 +1,20 @@
-//! Tables `t,op,pv[,sp][,mv][,mode]`: columns in any order, `t` in seconds since 1970 or RFC 3339.
+//! Writes tables `t,op,pv[,sp][,mv][,mode][,op_unit][,pv_unit]`: `t` in seconds since 1970. They are read like other tables, see `export`.
 //!
 //! An empty or non-finite cell of OP or PV is a missing sample. In the other columns an empty cell is no sample, because set
 //! points and modes are often written on change only; likewise for OP and PV in a table where they are in separate rows,
 //! each with its own timestamps. Writing joins samples of equal timestamps into rows and changes nothing else, so a table
 //! that was read is written with equal values. A table with the newest row first is sorted, with a warning.
 
-use super::FileError;
-use super::number::{Decimal, Hint, hint, number};
 use std::collections::HashMap;
-use std::fs::File;
-use std::io::{self, BufReader, Read, Write};
-use std::path::Path;
-use stiction::core::record::{Mode, Sample, Signal, Value};
-use stiction::core::units::{TimeError, format_seconds, parse_time};
-use stiction_engine::analysis::rows::{Joined, Rows};
-use thiserror::Error;
+use std::io::{self, Write};
+use stiction::core::record::{Sample, Signal, Value};
+use stiction::core::signal::align::Quality;
+use stiction::core::units::format_seconds;
+
+use super::LoadedLoop;
 
 /// Columns after `t` in the order of writing.
 pub const COLUMNS: [Signal; 5] = [Signal::Op, Signal::Pv, Signal::Sp, Signal::Mv, Signal::Mode];
-
-/// A table that cannot be read.
-#[derive(Debug, Error)]
-pub enum CsvError {
-    /// A required column is missing.
-    #[error("the header {header:?} has no column {column:?}; write t,op,pv[,sp][,mv][,mode]{hint}")]
-    NoColumn {
-        /// The header line.
-        header: String,
-        /// The column.
-        column: &'static str,
-        /// Further remedy.
-        hint: &'static str,
-    },
-    /// A column occurs twice.
-    #[error("the header {header:?} names column {column:?} twice; rename or remove one")]
-    TwiceColumn {
-        /// The header line.
-        header: String,
-        /// The column.
-        column: String,
-    },
-    /// A row whose time cannot be read.
-    #[error("line {line}: {cause}")]
-    Time {
-        /// Line in the file, from 1.
-        line: u64,
-        /// What is wrong and what would be right.
-        cause: TimeError,
-    },
-    /// A row with more cells than the header.
-    #[error("line {line} has {cells} cells, the header has {columns}; separate by commas, write decimals with a point")]
-    Cells {
-        /// Line in the file, from 1.
-        line: u64,
-        /// Its cells.
-        cells: usize,
-        /// The header's.
-        columns: usize,
-    },
-    /// An I/O error or broken quoting.
-    #[error(transparent)]
-    Read(#[from] ::csv::Error),
-}
-
-/// The samples of a table.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Table {
-    /// Samples in row order; within a row in the order of [`Signal::ALL`].
-    pub samples: Vec<Sample>,
-    /// Data rows.
-    pub rows: u64,
-    /// Cells that are empty or not finite.
-    pub missing: u64,
-    /// Warnings, one line each.
-    pub warnings: Vec<String>,
-}
-
-/// Reads a table.
-///
-/// # Errors
-/// [`FileError::Csv`] names the line and the remedy, [`FileError::Io`] what the system said.
-pub fn read(path: &Path) -> Result<Table, FileError> {
-    let file = File::open(path).map_err(|cause| FileError::Io { path: path.to_owned(), cause })?;
-    read_from(BufReader::with_capacity(1 << 16, file)).map_err(|cause| FileError::Csv { path: path.to_owned(), cause })
-}
-
-/// Reads a table from any source.
-///
-/// # Errors
-/// [`CsvError`] names the line and the remedy.
-pub fn read_from(source: impl Read) -> Result<Table, CsvError> {
-    let mut reader = ::csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .trim(::csv::Trim::All)
-        .from_reader(NewLines::of(source));
-    let mut row = ::csv::ByteRecord::new();
-    reader.read_byte_record(&mut row)?;
-    let layout = Layout::of_header(&row)?;
-    let mut rows = Cells::new(layout);
-    while reader.read_byte_record(&mut row)? {
-        rows.take(&row)?;
-    }
-    Ok(rows.finish())
-}
-
-/// A text whose lines end with a line feed alone: with a carriage return before it, rows are counted one short.
-struct NewLines<R> {
-    source: R,
-    /// A carriage return whose next byte has not come yet.
-    held: bool,
-}
-
-impl<R: Read> NewLines<R> {
-    const fn of(source: R) -> Self {
-        Self { source, held: false }
-    }
-}
-
-impl<R: Read> Read for NewLines<R> {
-    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        // A place for the one that is held.
-        let mut taken = vec![0; out.len().saturating_sub(1)];
-        loop {
-            let count = self.source.read(&mut taken)?;
-            let mut kept = 0;
-            let mut keep = |byte| {
-                out[kept] = byte;
-                kept += 1;
-            };
-            for byte in &taken[..count] {
-                if std::mem::take(&mut self.held) && *byte != b'\n' {
-                    keep(b'\r');
-                }
-                self.held = *byte == b'\r';
-                if !self.held {
-                    keep(*byte);
-                }
-            }
-            if count == 0 && !taken.is_empty() && std::mem::take(&mut self.held) {
-                keep(b'\r');
-            }
-            // Nothing means the end, which has not come where all that came is held.
-            if kept > 0 || count == 0 {
-                return Ok(kept);
-            }
-        }
-    }
-}
-
-/// Column positions.
-struct Layout {
-    time: usize,
-    signals: Vec<(Signal, usize)>,
-    ignored: Vec<String>,
-    columns: usize,
-}
-
-impl Layout {
-    fn of_header(row: &::csv::ByteRecord) -> Result<Self, CsvError> {
-        let names: Vec<String> = row
-            .iter()
-            .map(|cell| String::from_utf8_lossy(cell).trim_start_matches('\u{feff}').trim().to_lowercase())
-            .collect();
-        let header: String = names.join(",").chars().take(120).collect();
-        for (at, name) in names.iter().enumerate() {
-            if !name.is_empty() && names[..at].contains(name) {
-                return Err(CsvError::TwiceColumn { header, column: name.clone() });
-            }
-        }
-        let hint = if names.len() == 1 && header.contains([';', '\t']) {
-            "; separate by commas (not semicolons or tabs), write decimals with a point"
-        } else {
-            ""
-        };
-        let find = |wanted: &str| names.iter().position(|name| name == wanted);
-        let need =
-            |column: &'static str| find(column).ok_or(CsvError::NoColumn { header: header.clone(), column, hint });
-        let time = need("t")?;
-        need("op")?;
-        need("pv")?;
-        let signals = Signal::ALL.into_iter().filter_map(|s| find(s.name()).map(|at| (s, at))).collect();
-        let known = |name: &String| name == "t" || name.is_empty() || Signal::from_name(name).is_some();
-        let ignored = names.iter().filter(|name| !known(name)).cloned().collect();
-        Ok(Self { time, signals, ignored, columns: names.len() })
-    }
-}
-
-/// Cells in file order.
-struct Cells {
-    layout: Layout,
-    rows: Rows,
-    texts: u64,
-    first_text: Option<(u64, String)>,
-}
-
-impl Cells {
-    fn new(layout: Layout) -> Self {
-        Self { layout, rows: Rows::default(), texts: 0, first_text: None }
-    }
-
-    fn take(&mut self, row: &::csv::ByteRecord) -> Result<(), CsvError> {
-        let line = row.position().map_or(0, ::csv::Position::line);
-        if row.iter().all(<[u8]>::is_empty) {
-            return Ok(());
-        }
-        if row.len() > self.layout.columns && row.iter().skip(self.layout.columns).any(|cell| !cell.is_empty()) {
-            return Err(CsvError::Cells { line, cells: row.len(), columns: self.layout.columns });
-        }
-        let time = String::from_utf8_lossy(row.get(self.layout.time).unwrap_or_default());
-        let t_ns = parse_time(&time).map_err(|cause| CsvError::Time { line, cause })?;
-        self.rows.begin(t_ns);
-        for at in 0..self.layout.signals.len() {
-            let (signal, column) = self.layout.signals[at];
-            let cell = row.get(column).unwrap_or_default();
-            let value = (!cell.is_empty()).then(|| self.value(signal, cell, line));
-            self.rows.cell(signal, value);
-        }
-        Ok(())
-    }
-
-    fn value(&mut self, signal: Signal, cell: &[u8], line: u64) -> Value {
-        let text = String::from_utf8_lossy(cell);
-        match (text.parse::<f64>(), signal) {
-            (Ok(number), _) => Value::number(number),
-            (Err(_), Signal::Mode) => Value::Mode(Mode::from_word(&text)),
-            // "1,234.5" in quotes is one cell and can be read in one way.
-            (Err(_), _) if hint(&text) == Hint::Sure(Decimal::Point) => {
-                number(&text, Decimal::Point).map_or(Value::Missing, Value::number)
-            }
-            (Err(_), _) => {
-                self.texts += 1;
-                self.first_text.get_or_insert_with(|| (line, text.chars().take(40).collect()));
-                Value::Missing
-            }
-        }
-    }
-
-    fn finish(self) -> Table {
-        let mut warnings = Vec::new();
-        if !self.layout.ignored.is_empty() {
-            warnings.push(format!("ignored columns: {}", self.layout.ignored.join(", ")));
-        }
-        if let Some((line, text)) = &self.first_text {
-            let count = self.texts;
-            let cells = match count {
-                1 => "1 cell without a number counts".to_owned(),
-                _ => format!("{count} cells without a number count"),
-            };
-            warnings.push(format!("{cells} as missing, first {text:?} in line {line}"));
-        }
-        let Joined { samples, rows, missing, warnings: more } = self.rows.finish();
-        warnings.extend(more);
-        Table { samples, rows, missing, warnings }
-    }
-}
 
 /// One row: a timestamp and its cells in the order of [`COLUMNS`].
 #[derive(Debug, Clone, Copy)]
@@ -286,27 +46,35 @@ pub fn rows_of(samples: &[Sample]) -> Vec<Row> {
 }
 
 /// Writes one loop's samples as rows in recorded order and returns how many. `t`, `op` and `pv` are always written, other
-/// columns if the loop has such samples. A cell is empty if there is no sample or its value is missing.
+/// columns if the loop has such samples; the first row carries the units of OP and PV in columns of their own. A cell is empty if there is no sample, and where a
+/// row has OP and PV, if its value is missing or of bad quality; elsewhere such a value is `nan`.
 ///
 /// # Errors
 /// Error of the writer.
-pub fn write(samples: &[Sample], out: &mut impl Write) -> io::Result<usize> {
+pub fn write(one: &LoadedLoop, out: &mut impl Write) -> io::Result<usize> {
+    let samples = one.judged(Quality::Ua).samples;
     let has = |signal: Signal| samples.iter().any(|s| s.signal == signal);
     let shown: Vec<usize> = (0..COLUMNS.len()).filter(|c| *c < 2 || has(COLUMNS[*c])).collect();
     write!(out, "t")?;
-    for column in &shown {
-        write!(out, ",{}", COLUMNS[*column].name())?;
-    }
+    shown.iter().try_for_each(|column| write!(out, ",{}", COLUMNS[*column].name()))?;
+    let units = || one.units.iter().enumerate().filter_map(|(at, unit)| Some((at, unit.as_ref()?)));
+    units().try_for_each(|(at, _)| write!(out, ",{}_unit", COLUMNS[at].name()))?;
     writeln!(out)?;
-    let rows = rows_of(samples);
-    for row in &rows {
+    let rows = rows_of(&samples);
+    let whole = rows.iter().all(|row| row.cells[0].is_some() == row.cells[1].is_some());
+    for (at, row) in rows.iter().enumerate() {
         write!(out, "{}", format_seconds(row.t_ns))?;
         for column in &shown {
             match row.cells[*column] {
                 Some(Value::Number(number)) if number.is_finite() => write!(out, ",{number}")?,
                 Some(Value::Mode(mode)) => write!(out, ",{}", mode.name())?,
+                Some(_) if *column > 1 || !whole => write!(out, ",nan")?,
                 _ => write!(out, ",")?,
             }
+        }
+        for (_, unit) in units() {
+            let unit = if at == 0 { unit.replace([',', '"', '\n'], " ") } else { String::new() };
+            write!(out, ",{unit}")?;
         }
         writeln!(out)?;
     }
@@ -318,22 +86,41 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    use crate::export::ReadOptions;
+    use crate::{FileError, Loaded};
+
+    struct Table {
+        samples: Vec<Sample>,
+        warnings: Vec<String>,
+        missing: usize,
+    }
+
+    fn read(text: &[u8]) -> Result<Loaded, FileError> {
+        let file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        // Bits of any kind make numbers as loggers write them for none.
+        crate::load(file.path(), &ReadOptions { missing: vec!["none".to_owned()], ..ReadOptions::default() })
+    }
+
     fn table(text: &str) -> Table {
-        read_from(text.as_bytes()).unwrap()
+        let Loaded { mut loops, warnings, .. } = read(text.as_bytes()).unwrap_or_else(|e| panic!("{text:?}: {e}"));
+        let samples = loops.remove(0).samples;
+        let missing = samples.iter().filter(|s| s.value == Value::Missing).count();
+        Table { samples, warnings, missing }
     }
 
     fn written(samples: &[Sample]) -> String {
         let mut out = Vec::new();
-        write(samples, &mut out).unwrap();
+        write(&LoadedLoop::new("a", samples.to_vec()), &mut out).unwrap();
         String::from_utf8(out).unwrap()
     }
 
     #[test]
     fn columns_stand_in_any_order() {
-        let text = "\u{feff}PV , T,Mode,op,note\r\n1.5,0,AUTO,2,x\r\n,2020-01-01T00:00:00Z,3,nan,\r\n\r\n";
+        let text = "\u{feff}PV , T,Mode,op,note\r\n1.5,0,AUTO,2,x\r\n,1577836800,3,nan,\r\n\r\n";
         let table = table(text);
-        assert_eq!((table.rows, table.missing), (2, 2));
-        assert_eq!(table.warnings, ["ignored columns: note"]);
+        assert_eq!((table.samples.len(), table.missing), (6, 2));
+        assert!(table.warnings.iter().any(|w| w.contains("ignored") && w.contains("note")), "{:?}", table.warnings);
         assert_eq!(written(&table.samples), "t,op,pv,mode\n0,2,1.5,auto\n1577836800,,,3\n");
     }
 
@@ -341,38 +128,41 @@ mod tests {
     fn faults_name_line_and_remedy() {
         for (text, part) in [
             ("t,op,pv\n0,1,2\nabc,1,2\n", "line 3"),
-            ("t,op,pv\n,1,2\n", "line 2"),
-            ("t;op;pv\n0;1;2\n", "commas"),
-            ("time,op,pv\n0,1,2\n", "no column \"t\""),
-            ("t,op\n0,1\n", "no column \"pv\""),
-            ("t,op,pv,OP\n", "twice"),
-            ("t,op,pv\n0,1,5,2,5\n", "line 2 has 5 cells"),
-            ("", "no column"),
+            ("t,op,pv\n0,1,2\n,1,2\n", "line 3"),
+            ("t,op\n0,1\n", "only one signal"),
+            ("t,op,pv,OP\n0,1,2,3\n", "twice"),
+            ("t,op,pv\n0,1,5,2,5\n", "line 2: 5 cells"),
+            ("t,op,pv\n0,Bad,1\n1,Bad,2\n", "no number in any row"),
+            ("t,op,pv\n0,Open,1\n1,2,2\n", "line 2: \"op\" contains \"Open\""),
+            ("t,op,pv\n0,1,\"1,000\"\n", "--decimal"),
         ] {
-            let error = read_from(text.as_bytes()).unwrap_err().to_string();
+            let error = read(text.as_bytes()).unwrap_err().to_string();
             assert!(error.contains(part), "{text:?}: {error}");
         }
     }
 
     #[test]
     fn quoted_thousands_are_numbers_where_they_have_one_reading() {
-        let read = table("t,op,pv\n0,\"1,234.5\",\"-1,150.10\"\n1,\"1,234,567\",2\n2,\"1,234\",\"1.234,5\"");
+        let read = table("t,op,pv\n0,\"1,234.5\",\"-1,150.10\"\n1,\"1,234,567\",2\n");
         let values: Vec<Option<f64>> = read.samples.iter().map(|s| s.value.as_number()).collect();
-        assert_eq!(values, [Some(1234.5), Some(-1150.1), Some(1_234_567.0), Some(2.0), None, None]);
-        assert!(read.warnings[0].starts_with("2 cells without a number") && read.warnings[0].contains("line 4"));
+        assert_eq!(values, [Some(1234.5), Some(-1150.1), Some(1_234_567.0), Some(2.0)]);
     }
 
     #[test]
-    fn words_in_number_columns_are_missing_and_told() {
-        let table = table("t,op,pv\n0,Bad,1\n1,2,\n2,3");
-        assert_eq!((table.rows, table.missing), (3, 3));
-        assert!(table.warnings[0].starts_with("1 cell without a number counts"), "{:?}", table.warnings);
-        assert!(table.warnings[0].contains("line 2"), "{:?}", table.warnings);
-        // However lines end, and wherever a read stops.
-        for text in ["t,op,pv\r\n0,1,1\r\n\"1\",Bad,1\r\n2,3,3\r\n", "t,op,pv\n0,1,1\n1,Bad,1\n2,3,3"] {
-            let read = read_from(BufReader::with_capacity(2, text.as_bytes())).unwrap();
-            assert!(read.rows == 3 && read.warnings[0].contains("line 3"), "{:?}", read.warnings);
-        }
+    fn bad_quality_is_an_empty_cell_and_units_stand_in_the_first_row() {
+        let sample = |signal, t_ns, v, quality| Sample { signal, t_ns, value: Value::Number(v), quality };
+        let samples = [
+            sample(Signal::Op, 0, 1.0, Some(0)),
+            sample(Signal::Pv, 0, 0.0, Some(0x8000_0000)),
+            sample(Signal::Sp, 0, 5.0, Some(0x8000_0000)),
+        ];
+        let one = LoadedLoop { units: [None, Some("bar".to_owned())], ..LoadedLoop::new("a", samples.to_vec()) };
+        let mut out = Vec::new();
+        write(&one, &mut out).unwrap();
+        assert_eq!(String::from_utf8_lossy(&out), "t,op,pv,sp,pv_unit\n0,1,,nan,bar\n");
+        let back = read(&out).unwrap().loops.remove(0);
+        assert_eq!((back.units, back.samples.len()), (one.units, 3));
+        assert_eq!(back.samples[2].value, Value::Missing);
     }
 
     #[test]
@@ -407,7 +197,7 @@ mod tests {
         assert_eq!(sorted.samples, forward.samples);
         assert_eq!(sorted.warnings, ["the 600 rows are out of order: sorted by time"]);
         // A clock that was set back is no disorder.
-        let set_back: Vec<String> = (0..600).map(|k| format!("{},1,1", k - 200 * (k / 400))).collect();
+        let set_back: Vec<String> = (0..600).map(|k| format!("{},{k},1", k - 200 * (k / 400))).collect();
         assert!(table(&format!("t,op,pv\n{}\n", set_back.join("\n"))).warnings.is_empty());
         let shuffled: Vec<&str> = (0..600).map(|k| rows[k * 251 % 600].as_str()).collect();
         assert_eq!(table(&format!("t,op,pv\n{}\n", shuffled.join("\n"))).samples, forward.samples);
@@ -416,7 +206,7 @@ mod tests {
     proptest! {
         #[test]
         fn what_is_written_reads_back_equal(
-            rows in proptest::collection::vec((-1_000_000_000_000_000_000..4_000_000_000_000_000_000_i64, any::<u64>(), any::<u64>(), any::<Option<u64>>()), 1..40)
+            rows in proptest::collection::vec((-1_000_000_000_000_000_000..1_700_000_000_000_000_000_i64, any::<u64>(), any::<u64>(), any::<Option<u64>>()), 1..40)
         ) {
             let mut samples = Vec::new();
             for (t_ns, op, pv, sp) in rows {
@@ -443,8 +233,8 @@ mod tests {
 
         #[test]
         fn no_text_panics(text in "[tpov,;0-9.\\-\"\n\r eE]{0,80}") {
-            let _ = read_from(text.as_bytes());
-            let _ = read_from(format!("t,op,pv\n{text}").as_bytes());
+            let _ = read(text.as_bytes());
+            let _ = read(format!("t,op,pv\n{text}").as_bytes());
         }
     }
 }

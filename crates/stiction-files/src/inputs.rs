@@ -1,4 +1,5 @@
-//! Input files from a command line: files, folders, patterns; and groups of single-signal files of one loop.
+//! Input files from a command line: files, folders, patterns; and files that are read together, as those of one signal each and
+//! those of the same tags day by day.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -21,7 +22,7 @@ const DEPTH: usize = 8;
 /// Files that are read together.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Unit {
-    /// One file, or the single-signal files of one loop.
+    /// One file, or files that are read together: a signal each, or the same tags day by day.
     pub paths: Vec<PathBuf>,
 }
 
@@ -49,17 +50,30 @@ impl Unit {
         if let Some(name) = self.paths.first().and_then(|path| partition::loop_of(path)) {
             return partition::load(&name, &self.paths, options);
         }
-        let mut parts = Vec::with_capacity(self.paths.len());
-        for path in &self.paths {
+        let part = |path: &PathBuf| {
             let kind = InputKind::detect(path)?;
             let bytes = std::fs::read(path).map_err(|cause| FileError::Io { path: path.clone(), cause })?;
             let contents = export::contents(kind, path, &bytes, options);
             let contents = contents.map_err(|cause| FileError::Export { path: path.clone(), cause })?;
-            parts.push((export::stem_of(path), contents));
+            Ok((export::stem_of(path), contents))
+        };
+        let (mut parts, mut faults) = (Vec::with_capacity(self.paths.len()), Vec::new());
+        for read in self.paths.iter().map(part) {
+            match read {
+                Ok(part) => parts.push(part),
+                Err(fault) => faults.push(fault),
+            }
+        }
+        if parts.is_empty()
+            && let Some(fault) = faults.pop()
+        {
+            return Err(fault);
         }
         let path = self.paths.first().cloned().unwrap_or_default();
         let read = export::read_parts(parts, options).map_err(|cause| FileError::Export { path, cause })?;
-        Ok(Loaded::of_export(InputKind::Csv, read))
+        let mut loaded = Loaded::of_export(InputKind::Csv, read);
+        loaded.warnings.extend(faults.iter().map(|fault| format!("not read: {fault}")));
+        Ok(loaded)
     }
 }
 
@@ -81,11 +95,11 @@ pub fn units(words: &[PathBuf], options: &ReadOptions) -> Result<Vec<Unit>, File
     for path in files {
         // The days of one loop are its one file.
         let days = partition::loop_of(&path).zip(path.ancestors().nth(3).map(Path::to_owned));
-        let of_signal = || {
-            let name = signal_of(&path, options)?;
+        let of_tags = || {
+            let name = common_of(&path, options)?;
             Some((name, path.parent().map_or_else(PathBuf::new, Path::to_owned)))
         };
-        let Some((name, folder)) = days.or_else(of_signal) else {
+        let Some((name, folder)) = days.or_else(of_tags) else {
             units.push(whole(path));
             continue;
         };
@@ -149,12 +163,12 @@ fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), Fil
     Ok(())
 }
 
-/// The loop of a single-signal file, recognised from its first rows; `None` for other files.
-fn signal_of(path: &Path, options: &ReadOptions) -> Option<String> {
+/// What the files of one loop have in common, recognised from the first rows; `None` for other files.
+fn common_of(path: &Path, options: &ReadOptions) -> Option<String> {
     let kind = InputKind::detect(path).ok().filter(|kind| *kind == InputKind::Csv)?;
     let mut head = Vec::new();
     File::open(path).ok()?.take(HEAD).read_to_end(&mut head).ok()?;
-    export::only_signal(kind, path, &head, options)
+    export::together(kind, path, &head, options)
 }
 
 #[cfg(test)]
@@ -182,5 +196,27 @@ mod tests {
         assert_eq!(super::units(&[pattern], &options).unwrap().len(), 2);
         let none = super::units(&[folder.path().join("*.xyz")], &options).unwrap_err().to_string();
         assert!(none.contains("matches no file"), "{none}");
+    }
+
+    #[test]
+    fn days_of_the_same_tags_are_one_record() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, head: &str, from: usize| {
+            let rows: String = (from..from + 9).map(|k| format!("2026-01-05T08:00:{k:02}Z,{k},{}\n", k * k)).collect();
+            std::fs::write(folder.path().join(name), format!("{head}\n{rows}")).unwrap();
+        };
+        write("day2.csv", "Time,A.OP,A.PV", 29);
+        write("day1.csv", "Time,A.OP,A.PV", 20);
+        write("other.csv", "Time,B.OP,B.PV", 20);
+        write("own1.csv", "t,op,pv", 20);
+        write("own2.csv", "t,op,pv", 20);
+        let options = ReadOptions::default();
+        let units = units(&[folder.path().to_owned()], &options).unwrap();
+        assert_eq!(units.iter().map(|u| u.paths.len()).collect::<Vec<_>>(), [2, 1, 1, 1]);
+        let days = units[0].load(&options).unwrap().loops.remove(0);
+        assert!(days.samples.len() == 36 && days.samples.is_sorted_by_key(|s| s.t_ns));
+        std::fs::write(folder.path().join("day1.csv"), "Time,A.OP,A.PV\nnever,1,2\n1,2,3\n").unwrap();
+        let rest = units[0].load(&options).unwrap();
+        assert!(rest.loops[0].samples.len() == 18 && rest.warnings.iter().any(|w| w.contains("day1.csv")));
     }
 }

@@ -39,6 +39,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use stiction::core::record::{Sample, Signal, Value};
+use stiction::core::signal::align::Quality;
 use stiction_engine::codec;
 use stiction_engine::codec::topic::{Leaf, Topic};
 use thiserror::Error;
@@ -48,6 +49,12 @@ pub const METADATA_NAME: &str = "stictiond";
 
 /// Metadata key of the prefix of all topics.
 pub const METADATA_PREFIX: &str = "prefix";
+
+/// The quality code of OPC UA for bad.
+pub(crate) const BAD: u32 = 0x8000_0000;
+
+/// Metadata key of the units of OP and PV by loop, a JSON object.
+const METADATA_UNITS: &str = "units";
 
 /// Type of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -89,6 +96,11 @@ impl InputKind {
         if path.is_dir() {
             return Err(failed(io::Error::new(io::ErrorKind::IsADirectory, "this is a folder; name a file")));
         }
+        // Files are read more than once, and the names of pipes may have no writer.
+        if !std::fs::metadata(path).map_err(failed)?.is_file() {
+            let what = "this is a pipe or a device; write its content to a file first, such as june.csv";
+            return Err(failed(io::Error::other(what)));
+        }
         let mut head = Vec::with_capacity(4096);
         File::open(path).map_err(failed)?.take(4096).read_to_end(&mut head).map_err(failed)?;
         match mat::recognise(&head) {
@@ -121,7 +133,8 @@ impl InputKind {
         if let Some((_, what)) = unsupported.iter().find(|(mark, _)| head.starts_with(mark)) {
             return Err(what);
         }
-        if head.starts_with(b"\xff\xfe") || head.starts_with(b"\xfe\xff") || export::is_utf16(head) {
+        let marks: [&[u8]; 3] = [b"\xff\xfe", b"\xfe\xff", b"\0\0\xfe\xff"];
+        if marks.iter().any(|mark| head.starts_with(mark)) || export::wide(head).is_some() {
             return Ok(Self::Csv);
         }
         if head.iter().all(u8::is_ascii_whitespace) {
@@ -129,7 +142,9 @@ impl InputKind {
                 "empty; expected a recording (.mcap), a table (.csv, .xlsx, .parquet) or a compact store (.mat)",
             );
         }
-        if head.contains(&0) {
+        // Zeros in a text are of a damaged file, which the reader of tables names by their line.
+        let other = |b: &&u8| **b < b' ' && !b"\0\t\r\n\x1a".contains(b);
+        if head.contains(&0) && (head[0] == 0 || head.iter().any(|b| other(&b)) || !head.contains(&b'\n')) {
             return Err("neither a recording (.mcap), nor a table (.csv, .xlsx, .parquet), nor a compact store (.mat)");
         }
         Ok(Self::Csv)
@@ -160,14 +175,6 @@ pub enum FileError {
     Recording(#[from] ReadError),
     /// A table that cannot be read.
     #[error("{}: {cause}", path.display())]
-    Csv {
-        /// The file.
-        path: PathBuf,
-        /// Line and remedy.
-        cause: csv::CsvError,
-    },
-    /// An export that cannot be recognised.
-    #[error("{}: {cause}", path.display())]
     Export {
         /// The file.
         path: PathBuf,
@@ -182,35 +189,6 @@ pub enum FileError {
         /// Place and remedy.
         cause: compact::CompactError,
     },
-}
-
-/// A fault in a table of any type.
-#[derive(Debug)]
-enum FileFault {
-    Csv(csv::CsvError),
-    Export(export::ExportError),
-}
-
-impl From<csv::CsvError> for FileFault {
-    fn from(error: csv::CsvError) -> Self {
-        Self::Csv(error)
-    }
-}
-
-impl From<export::ExportError> for FileFault {
-    fn from(error: export::ExportError) -> Self {
-        Self::Export(error)
-    }
-}
-
-impl FileFault {
-    fn of(self, path: &Path) -> FileError {
-        let path = path.to_owned();
-        match self {
-            Self::Csv(cause) => FileError::Csv { path, cause },
-            Self::Export(cause) => FileError::Export { path, cause },
-        }
-    }
 }
 
 /// Additional information on a loop in a compact store.
@@ -242,6 +220,19 @@ impl LoadedLoop {
     #[must_use]
     pub fn new(name: impl Into<String>, samples: Vec<Sample>) -> Self {
         Self { name: name.into(), samples, about: None, units: [None, None] }
+    }
+
+    /// The loop with values of bad quality missing, and the quality of all by the convention of OPC UA.
+    #[must_use]
+    pub fn judged(&self, convention: Quality) -> Self {
+        let judge = |sample: &Sample| match sample.quality.filter(|code| !convention.is_good(*code)) {
+            Some(code) => {
+                let code = if Quality::Ua.is_good(code) { BAD } else { code };
+                Sample { value: Value::Missing, quality: Some(code), ..*sample }
+            }
+            None => Sample { quality: None, ..*sample },
+        };
+        Self { samples: self.samples.iter().map(judge).collect(), ..self.clone() }
     }
 
     /// Samples of a signal, and how many of them are missing values.
@@ -297,7 +288,8 @@ pub fn load_as(path: &Path, called: &Path, options: &ReadOptions) -> Result<Load
         kind => {
             let bytes = std::fs::read(path).map_err(|cause| FileError::Io { path: path.to_owned(), cause })?;
             let read = export::read(kind, called, &bytes, options);
-            let read = read.map_err(|fault| named_mat(called, fault.of(called)))?;
+            let named = |cause| named_mat(called, FileError::Export { path: called.to_owned(), cause });
+            let read = read.map_err(named)?;
             Ok(Loaded::of_export(kind, read))
         }
     }
@@ -332,7 +324,7 @@ impl Loaded {
 fn named_mat(path: &Path, error: FileError) -> FileError {
     let named = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mat"));
     match error {
-        FileError::Csv { .. } | FileError::Export { .. } if named => FileError::Kind {
+        FileError::Export { .. } if named => FileError::Kind {
             path: path.to_owned(),
             what: "named .mat but is text, and not a table t,op,pv; save it in MATLAB with save -v7",
         },
@@ -362,8 +354,11 @@ fn load_store(path: &Path) -> Result<Loaded, FileError> {
 /// # Errors
 /// A sentence that lists the loops.
 pub fn choose_loop<'l>(loops: &'l [LoadedLoop], wanted: &str) -> Result<&'l LoadedLoop, String> {
-    if let Some(one) = loops.iter().find(|one| one.name == wanted) {
-        return Ok(one);
+    let named: Vec<&LoadedLoop> = loops.iter().filter(|one| one.name == wanted).collect();
+    match named[..] {
+        [] => {}
+        [one] => return Ok(one),
+        _ => return Err(format!("{} of the files have a loop {wanted:?}; name one of them", named.len())),
     }
     let number = |one: &LoadedLoop| one.name.strip_prefix("loop") == Some(wanted);
     let tagged =
@@ -410,6 +405,15 @@ fn load_recording(path: &Path) -> Result<Loaded, FileError> {
         warnings.push(format!("skipped {unreadable} unreadable messages, the first: {first_fault}"));
     }
     let end = reader.end().cloned().unwrap_or(End::Clean);
+    if unreadable > 0 && loops.loops.iter().all(|one| one.samples.is_empty()) {
+        return Err(ReadError::Nothing { path: path.to_owned(), first: first_fault }.into());
+    }
+    if let Some(units) = reader.metadata().get(METADATA_UNITS) {
+        let units: BTreeMap<String, [Option<String>; 2]> = serde_json::from_str(units).unwrap_or_default();
+        for one in &mut loops.loops {
+            one.units = units.get(&one.name).cloned().unwrap_or_default();
+        }
+    }
     if let Some(reason) = end.reason() {
         warnings.push(format!("the recording is {}: {reason}", end.word()));
     }

@@ -26,6 +26,9 @@ pub use unpack::{Item, RawSample};
 /// Most bytes per read.
 const READ_BYTES: usize = 1 << 20;
 
+/// Messages outside chunks further from the others in time are none, ns.
+const YEAR_NS: u64 = 366 * 86_400 * 1_000_000_000;
+
 /// An error before the first message.
 #[derive(Debug, Error)]
 pub enum ReadError {
@@ -36,6 +39,14 @@ pub enum ReadError {
         path: PathBuf,
         /// Error of the system.
         cause: io::Error,
+    },
+    /// None of its messages can be read.
+    #[error("{}: none of the samples can be read; the first: {first}", path.display())]
+    Nothing {
+        /// The file.
+        path: PathBuf,
+        /// Topic and fault of the first.
+        first: String,
     },
     /// The file does not begin as MCAP files do.
     #[error("{}: not an MCAP file (its first bytes are not the MCAP mark)", path.display())]
@@ -150,6 +161,8 @@ struct Contents {
     unresolved: u64,
     orphans: u64,
     messages: u64,
+    /// Arrival time of the last message, ns.
+    last_time: u64,
     stated: Option<u64>,
 }
 
@@ -309,8 +322,8 @@ impl RecordingReader {
                 }
                 let outcome = match opcode {
                     op::CHUNK => self.contents.take_chunk(data),
-                    // Files have their messages in chunks or not at all: a bit makes an index of a chunk into a message.
-                    op::MESSAGE if self.last_chunk > 0 => {
+                    // A bit makes an index of a chunk into a message, but not of a channel that is known.
+                    op::MESSAGE if self.last_chunk > 0 && !self.contents.is_of_known_channel(data) => {
                         self.note(format!("record at byte {start}: message outside a chunk"));
                         Ok(())
                     }
@@ -435,6 +448,14 @@ impl RecordingReader {
 }
 
 impl Contents {
+    /// Whether a message's channel has been described, and its times are those of a message.
+    fn is_of_known_channel(&self, data: &[u8]) -> bool {
+        let Ok(Record::Message { header, .. }) = parse_record(op::MESSAGE, data) else { return false };
+        let later = self.last_time.max(header.log_time);
+        // An index of a chunk holds offsets where a message has its times.
+        self.channels.contains_key(&header.channel_id) && later - self.last_time.min(header.log_time) < YEAR_NS
+    }
+
     /// Takes the records of a chunk, or none if its checksum is wrong.
     fn take_chunk(&mut self, chunk: &[u8]) -> Result<(), McapError> {
         let options = LinearReaderOptions::default()
@@ -503,6 +524,7 @@ impl Contents {
             }
             Record::Message { header, data } => {
                 self.messages += 1;
+                self.last_time = header.log_time;
                 let channel = self.channels.get(&header.channel_id).cloned();
                 self.unresolved += u64::from(channel.is_none());
                 let start = self.buffer.len();
@@ -535,13 +557,26 @@ fn signed(time: u64) -> i64 {
     i64::try_from(time).unwrap_or(i64::MAX)
 }
 
-/// An error with its cause in one line.
+/// An error with its cause in one line. The parser's errors carry a backtrace, with the cause behind `Error:`.
 fn describe(error: &McapError) -> String {
     use std::error::Error as _;
     let text = match error.source() {
         Some(cause) => format!("{error}: {cause}"),
         None => error.to_string(),
     };
-    let line: String = text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(200).collect();
-    line
+    let plain = without_colours(&text);
+    let plain = match plain.split_once("Backtrace").map(|(before, trace)| (before, trace.rsplit_once("Error: "))) {
+        Some((_, Some((_, cause)))) => format!("record parse failed: {}", cause.lines().next().unwrap_or_default()),
+        Some((before, None)) => before.to_owned(),
+        None => plain,
+    };
+    let kept: String = plain.chars().filter(|c| !('\u{2500}'..='\u{257f}').contains(c)).collect();
+    kept.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(200).collect()
+}
+
+/// A text without the sequences that colour it in a terminal.
+fn without_colours(text: &str) -> String {
+    let mut parts = text.split('\u{1b}');
+    let first = parts.next().unwrap_or_default().to_owned();
+    parts.fold(first, |all, part| all + part.split_once('m').map_or("", |(_, rest)| rest))
 }

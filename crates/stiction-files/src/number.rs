@@ -22,62 +22,74 @@ pub(super) enum Hint {
     Either(Decimal),
 }
 
-/// Starts, in lower case, of texts that systems write in place of a value.
-const MISSING: [&str; 45] = [
-    "bad",
-    "i/o timeout",
-    "io timeout",
-    "no data",
-    "nodata",
-    "no good data",
-    "[-",
-    "n/a",
-    "#n/a",
-    "na",
-    "nan",
-    "null",
-    "<null>",
-    "none",
-    "-",
-    "--",
-    "---",
-    "?",
-    "pt created",
-    "point created",
-    "shutdown",
-    "comm fail",
-    "comm error",
-    "scan off",
-    "scan timeout",
-    "configure",
-    "intf shut",
-    "not connect",
-    "out of serv",
-    "over range",
-    "under range",
-    "arc off-line",
-    "calc failed",
-    "calc off",
-    "calc timeout",
-    "no result",
-    "no sample",
-    "invalid",
-    "missing",
-    "uncertain",
-    "error",
-    "#value",
-    "#div",
-    "snapfix",
-    "digital state",
+/// Starts, in lower case, of texts that systems write in place of a value: PI's digital states, Aspen, Honeywell, Seeq, Excel,
+/// and data tools.
+const MISSING: &str = "access denied|arc off-line|archive off|bad|blank data|calc crash|calc failed|calc off|calc overflow|calc timeout|\
+    coercion failed|comm error|comm fail|configure|data loss|dcs failed|device failure|digital state|doubtful|\
+    equip fail|error|failed|fault|filter fail|i/o timeout|inp outrange|inf|-inf|infinity|-infinity|intf shut|\
+    intf shutdown|invalid|io timeout|last known|missing|n/a|#n/a|na|nan|nil|no alarm|no data|no good data|no lab data|\
+    no result|no sample|no value|nodata|none|not available|not configured|not connect|not converted|not installed|\
+    null|<null>|off-line|offline|out of range|out of serv|over range|overflow|point created|pt created|questionable|\
+    scan off|scan timeout|sensor failure|shutdown|snapfix|stale|substituted|trace off|uncertain|under range|underflow|\
+    undefined|unit down|unknown|void|wrong type";
+/// What stands for nothing only by itself or at the start of any text.
+const SIGNS: &str = "-|--|---|?|\\n";
+const STARTS: &str = "bad|[-|#n/|#value|#div|#ref|#num";
+
+/// Numbers that loggers and archives write in place of a value.
+const SENTINELS: [f64; 21] = [
+    -9999.0, -999.0, -999.25, -9999.25, -999.99, -99.99, -99999.0, -999_999.0, 999.0, 999.99, 9999.0, 99_999.0,
+    999_999.0, -32768.0, 32767.0, 65535.0, -1e30, 1e30, 1e31, 3.4e38, -3.4e38,
 ];
+
+/// A number that loggers write for a missing value, in a column whose other values are far from it.
+pub(super) fn sentinel(values: impl Iterator<Item = f64> + Clone) -> Option<f64> {
+    let is = |v: f64| v.abs() == f64::MAX || SENTINELS.iter().any(|s| (v - s).abs() <= 1e-6 * s.abs());
+    let found = values.clone().find(|v| is(*v))?;
+    let (low, high) =
+        values.filter(|v| !is(*v)).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+    let span = high - low;
+    (low <= high && (found > high + span || found < low - span)).then_some(found)
+}
+
+/// Whether a word is in a list separated by bars.
+pub(super) fn is_one_of(word: &str, list: &str) -> bool {
+    list.split('|').any(|known| known == word)
+}
 
 /// Whether a text is one that systems write in place of a value.
 pub(super) fn is_missing_word(text: &str) -> bool {
     let lower = text.trim().to_lowercase();
-    let longer = |word: &str| word.len() > 3 && lower.starts_with(word);
+    // A word may be followed by another, as in "Bad Input", not by more of its letters.
+    let longer = |word: &str| word.len() > 3 && lower.strip_prefix(word).is_some_and(|rest| !rest.starts_with('_'));
     lower.is_empty()
-        || MISSING.iter().any(|word| lower == *word || longer(word))
-        || ["bad", "[-", "#n/"].iter().any(|word| lower.starts_with(word))
+        || is_one_of(&lower, SIGNS)
+        || MISSING.split('|').any(|word| lower == word || longer(word))
+        || STARTS.split('|').any(|word| lower.starts_with(word))
+}
+
+/// Units that stand behind numbers in cells, in lower case.
+const UNITS: &str = "%|°c|degc|deg c|°f|degf|deg f|bar|barg|bara|mbar|pa|hpa|kpa|mpa|psi|psig|psia|mmhg|inh2o|kg|kg/s|kg/h|kg/hr|t/h|\
+    t/hr|lb/h|lb/hr|m3/h|m³/h|m3/hr|nm3/h|nm³/h|m3/s|m³/s|l/s|l/min|l/h|gpm|gal/min|bbl/d|mm|cm|in|ft|ma|mv|hz|rpm|kw|\
+    mw|ph|ppm|µs/cm";
+
+/// A number, and the unit behind it; Excel's `="1.5"` and `'1.5` are numbers.
+pub(super) fn with_unit(text: &str) -> (&str, Option<&str>) {
+    let text = text.strip_prefix("=\"").and_then(|t| t.strip_suffix('"')).unwrap_or(text);
+    let text = text.strip_prefix('\'').unwrap_or(text).trim();
+    if text.ends_with(|c: char| c.is_ascii_digit() || c == '.' || c == ',') {
+        return (text, None);
+    }
+    let number = text.rfind(|c: char| c.is_ascii_digit() || c == '.').map_or(0, |at| at + 1);
+    // A superscript or a figure of the unit itself, as in m3/h.
+    let starts = (1..=number).rev().filter(|at| text.is_char_boundary(*at) && text.as_bytes()[at - 1].is_ascii_digit());
+    for at in starts {
+        let unit = text[at..].trim();
+        if is_one_of(&unit.to_lowercase(), UNITS) {
+            return (&text[..at], Some(unit));
+        }
+    }
+    (text, None)
 }
 
 /// Strips spaces of all widths, apostrophes between thousands and a per cent sign from a number.
@@ -206,6 +218,31 @@ mod tests {
         assert!(!is_missing_word("Auto") && !is_missing_word("name") && !is_missing_word("12"));
     }
 
+    #[test]
+    fn units_and_excels_quotes_are_told_from_numbers() {
+        for (text, number, unit) in [
+            ("30.97 %", "30.97", Some("%")),
+            ("998.5 °C", "998.5", Some("°C")),
+            ("12,5 m3/h", "12,5", Some("m3/h")),
+            ("=\"40.25\"", "40.25", None),
+            ("'40.25", "40.25", None),
+            ("40.25", "40.25", None),
+            ("12k", "12k", None),
+            ("Bad", "Bad", None),
+        ] {
+            assert_eq!(with_unit(text), (number, unit), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_sentinel_is_far_from_all_other_values() {
+        let found = |values: &[f64]| sentinel(values.iter().copied());
+        assert_eq!(found(&[1.0, 50.0, -9999.0, 99.0]), Some(-9999.0));
+        assert_eq!(found(&[998.5, 999.0, 1002.0]), None);
+        assert_eq!(found(&[1.0, 2.0, 3.0]), None);
+        assert_eq!(found(&[-9999.0]), None);
+    }
+
     proptest! {
         #[test]
         fn numbers_read_back_in_both_ways(v in -1e12..1e12_f64) {
@@ -216,7 +253,7 @@ mod tests {
 
         #[test]
         fn no_text_panics(text in ".{0,20}") {
-            let _ = (hint(&text), number(&text, Decimal::Comma), is_missing_word(&text));
+            let _ = (hint(&text), number(&text, Decimal::Comma), is_missing_word(&text), with_unit(&text));
         }
     }
 }

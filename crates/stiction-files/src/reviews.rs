@@ -210,7 +210,7 @@ impl Reviews {
         let mut table_bytes = Vec::new();
         if !samples.samples.is_empty() {
             review.file = table_name(&review);
-            table::write(&samples.samples, &mut table_bytes)?;
+            table::write(samples, &mut table_bytes)?;
         }
         // An index that cannot be read is left as it is: `all` names its line.
         if let Ok(kept) = self.all() {

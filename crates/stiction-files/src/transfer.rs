@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::{LoadedLoop, METADATA_PREFIX, RecordingFile, WriteError};
+use super::{LoadedLoop, METADATA_PREFIX, METADATA_UNITS, RecordingFile, WriteError};
 use stiction::core::units::{is_loop_name, loop_name_from};
 use stiction_engine::codec::topic;
 
@@ -18,7 +18,7 @@ pub fn write_loops(
     [origin, source]: [&str; 2],
     loops: &[LoadedLoop],
 ) -> Result<usize, WriteError> {
-    let metadata = metadata_of(prefix, [origin, source]);
+    let metadata = metadata_of(prefix, [origin, source], loops);
     fill(RecordingFile::create_at(part.to_owned(), target.to_owned(), &metadata)?, prefix, loops)
 }
 
@@ -31,15 +31,21 @@ pub fn loops_as_recording(
     [origin, source]: [&str; 2],
     loops: &[LoadedLoop],
 ) -> Result<Vec<u8>, WriteError> {
-    let (file, memory) = RecordingFile::create_in_memory(&metadata_of(prefix, [origin, source]))?;
+    let (file, memory) = RecordingFile::create_in_memory(&metadata_of(prefix, [origin, source], loops))?;
     fill(file, prefix, loops)?;
     Ok(memory.take())
 }
 
-fn metadata_of(prefix: &str, [origin, source]: [&str; 2]) -> BTreeMap<String, String> {
+fn metadata_of(prefix: &str, [origin, source]: [&str; 2], loops: &[LoadedLoop]) -> BTreeMap<String, String> {
     let pairs =
         [("origin", origin), (METADATA_PREFIX, prefix), ("source", source), ("version", stiction::core::VERSION)];
-    BTreeMap::from(pairs.map(|(key, value)| (key.to_owned(), value.to_owned())))
+    let mut metadata = BTreeMap::from(pairs.map(|(key, value)| (key.to_owned(), value.to_owned())));
+    let units: BTreeMap<&str, &[Option<String>; 2]> =
+        loops.iter().filter(|one| one.units != [None, None]).map(|one| (one.name.as_str(), &one.units)).collect();
+    if let (false, Ok(json)) = (units.is_empty(), serde_json::to_string(&units)) {
+        metadata.insert(METADATA_UNITS.to_owned(), json);
+    }
+    metadata
 }
 
 fn fill(mut file: RecordingFile, prefix: &str, loops: &[LoadedLoop]) -> Result<usize, WriteError> {

@@ -15,6 +15,8 @@ use stiction_engine::engine::LoopId;
 /// How long a change of sources stays among the faults, and how long two sources of one signal do after the last value.
 const CHANGE_SHOWN: Duration = Duration::from_secs(3600);
 const CONTEST_SHOWN: Duration = Duration::from_secs(60);
+/// A time further from the clock is not the present in another unit, ns.
+const NEAR_NS: i128 = 30 * 86_400 * 1_000_000_000;
 /// One message in so many is timed.
 const TIMED: u64 = 8;
 
@@ -43,6 +45,9 @@ impl Core {
         if !feeds {
             self.metrics.second_source.inc_by(samples.len() as u64);
             samples.clear();
+        }
+        if let Some(first) = samples.first() {
+            self.watch_unit(m, first.t_ns);
         }
         for sample in &samples {
             self.take_sample(id, *sample, m.arrival_ns);
@@ -145,7 +150,24 @@ impl Core {
         self.codec_counters.push((name, counter));
     }
 
+    /// A time that is near the clock in another unit than ns names that unit.
+    fn watch_unit(&self, m: &Message, t_ns: i64) {
+        let near = |ns: i128| (ns - i128::from(m.arrival_ns)).abs() < NEAR_NS;
+        if near(i128::from(t_ns)) || t_ns <= 0 {
+            return;
+        }
+        let units = [("seconds", 1_000_000_000), ("milliseconds", 1_000_000), ("microseconds", 1_000)];
+        if let Some((unit, _)) = units.into_iter().find(|(_, per_unit)| near(i128::from(t_ns) * per_unit)) {
+            let key = m.buf.key().escape_debug();
+            let text = format!("{key} sends times in {unit} ({t_ns}): send ns since 1970, or RFC 3339");
+            self.faults.raise_for("unit of times", text, CONTEST_SHOWN);
+        }
+    }
+
     fn count_undecodable(&self, m: &Message, error: &CodecError) {
+        if let CodecError::Encoding(_) = error {
+            self.faults.raise_for("encoding", format!("{}: {error}", m.buf.key().escape_debug()), CONTEST_SHOWN);
+        }
         if self.metrics.undecodable.inc() == 0 {
             tracing::warn!(key = m.buf.key(), %error, "a payload could not be read; further ones are only counted");
         }

@@ -317,7 +317,7 @@ async fn window_csv(State(live): State<Shared>, PathName(name): PathName) -> Res
     let one = samples(&live, &name).await?;
     let write = move || {
         let mut out = Vec::new();
-        csv::write(&one.samples, &mut out).map(|_| out)
+        csv::write(&one, &mut out).map(|_| out)
     };
     let written = live.computations.run(write).await?.map_err(|e| ApiError::busy(e.to_string()))?;
     Ok(file(&name, "csv", "text/csv; charset=utf-8", written))

@@ -66,7 +66,6 @@ fn check(loaded: &Loaded, what: &str) -> Result<(), String> {
 fn told(error: &FileError) -> String {
     match error {
         FileError::Export { cause, .. } => cause.to_string(),
-        FileError::Csv { cause, .. } => cause.to_string(),
         other => panic!("{other}"),
     }
 }

@@ -4,6 +4,8 @@
 //! written when they change), and so it is where OP and PV stand in rows of their own, as when both carry their own
 //! stamps. A table whose rows are newest first, or shuffled, is sorted by time. Each change gives a line.
 
+use std::collections::HashSet;
+
 use stiction::core::record::{Sample, Signal, Value};
 
 /// Steps back from which a table stands newest first, if they outnumber the steps on.
@@ -56,26 +58,26 @@ impl Rows {
         }
     }
 
-    /// A cell of the row, `None` where it is empty; cells of a row come in the order of [`Signal::ALL`].
-    pub fn cell(&mut self, signal: Signal, cell: Option<Value>) {
+    /// A cell of the row with its quality, `None` where it is empty; cells of a row come in the order of [`Signal::ALL`].
+    pub fn cell(&mut self, signal: Signal, cell: Option<(Value, Option<u32>)>) {
         let required = match signal {
             Signal::Op => Some(0),
             Signal::Pv => Some(1),
             _ => None,
         };
-        let value = match (cell, required) {
-            (Some(value), at) => {
+        let (value, quality) = match (cell, required) {
+            (Some(taken), at) => {
                 at.into_iter().for_each(|at| self.has[at] = true);
-                value
+                taken
             }
             (None, None) => return,
             (None, Some(_)) => {
                 self.empty.push(self.out.samples.len());
-                Value::Missing
+                (Value::Missing, None)
             }
         };
         self.out.missing += u64::from(value == Value::Missing);
-        self.out.samples.push(Sample { signal, t_ns: self.t_ns.unwrap_or(0), value, quality: None });
+        self.out.samples.push(Sample { signal, t_ns: self.t_ns.unwrap_or(0), value, quality });
     }
 
     fn close(&mut self) {
@@ -97,6 +99,9 @@ impl Rows {
             ));
             self.drop_empty();
         }
+        if self.backward > 0 {
+            self.drop_repeated();
+        }
         self.order();
         self.out
     }
@@ -113,6 +118,29 @@ impl Rows {
             return;
         }
         out.samples.sort_by_key(|sample| sample.t_ns);
+    }
+
+    /// Drops the rows that overlapping tables have twice.
+    fn drop_repeated(&mut self) {
+        let key = |s: &Sample| {
+            let mode = if let Value::Mode(mode) = s.value { Some(mode) } else { None };
+            (s.t_ns, s.signal, s.value.as_number().map(f64::to_bits), mode, s.quality)
+        };
+        let mut known = HashSet::new();
+        let rows = self.out.samples.chunk_by(|a, b| a.t_ns == b.t_ns);
+        let kept: Vec<&[Sample]> = rows.filter(|row| known.insert(row.iter().map(key).collect::<Vec<_>>())).collect();
+        let samples = kept.concat();
+        let repeated = self.out.samples.len() - samples.len();
+        if repeated < BLOCK {
+            return;
+        }
+        let steps = |back: bool| {
+            let times = kept.windows(2).map(|w| (w[0][0].t_ns, w[1][0].t_ns));
+            times.filter(|(a, b)| if back { b < a } else { b > a }).count() as u64
+        };
+        (self.forward, self.backward) = (steps(false), steps(true));
+        self.out.samples = samples;
+        self.out.warnings.push(format!("{repeated} samples that the table has twice are left out"));
     }
 
     fn drop_empty(&mut self) {
@@ -147,12 +175,31 @@ mod tests {
         let mut rows = Rows::default();
         for k in 0..3 {
             rows.begin(k);
-            rows.cell(Signal::Op, (k != 1).then_some(Value::Number(1.0)));
+            rows.cell(Signal::Op, (k != 1).then_some((Value::Number(1.0), None)));
             rows.cell(Signal::Sp, None);
-            rows.cell(Signal::Pv, Some(Value::Number(2.0)));
+            rows.cell(Signal::Pv, Some((Value::Number(2.0), None)));
         }
         let found = rows.finish();
         assert_eq!((found.samples.len(), found.rows, found.missing), (6, 3, 1));
         assert!(found.warnings.is_empty());
+    }
+
+    #[test]
+    fn rows_of_overlapping_tables_count_once() {
+        let read = |times: &mut dyn Iterator<Item = i64>| {
+            let mut rows = Rows::default();
+            for t_ns in times {
+                rows.begin(t_ns);
+                rows.cell(Signal::Op, Some((Value::Number(t_ns as f64), None)));
+                rows.cell(Signal::Pv, Some((Value::Number(2.0 * t_ns as f64), None)));
+            }
+            rows.finish()
+        };
+        let once = read(&mut (0..300));
+        let twice = read(&mut (0..200).chain(100..300));
+        assert_eq!(twice.samples, once.samples);
+        assert_eq!(twice.warnings, ["200 samples that the table has twice are left out"]);
+        let swapped = read(&mut (100..300).chain(0..200));
+        assert_eq!(swapped.samples, once.samples);
     }
 }

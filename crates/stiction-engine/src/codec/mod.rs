@@ -132,6 +132,9 @@ pub enum CodecError {
     /// An unknown configured format.
     #[error("{0:?} is not a format; use auto or one of {all}", all = names().join(", "))]
     UnknownCodec(String),
+    /// The message names an encoding that is none of the formats.
+    #[error("the encoding {0:?} is not read; send one of {all}, or set codec in the configuration if it is one of these", all = names().join(", "))]
+    Encoding(String),
     /// No format recognises the bytes.
     #[error("unknown format ({bytes} bytes, first byte 0x{first:02x}); set codec in the configuration")]
     Unrecognised {
@@ -157,6 +160,12 @@ pub fn by_name(name: &str) -> Option<&'static dyn Codec> {
 pub fn by_encoding(encoding: &str) -> Option<&'static dyn Codec> {
     let media_type = encoding.split(';').next().unwrap_or("").trim().to_ascii_lowercase();
     ALL.into_iter().find(|codec| codec.speaks(&media_type))
+}
+
+/// Whether an encoding names no format: bytes of any kind.
+fn is_unnamed(encoding: &str) -> bool {
+    let media_type = encoding.split(';').next().unwrap_or("").trim().to_ascii_lowercase();
+    matches!(media_type.as_str(), "" | "zenoh/bytes" | "application/octet-stream" | "bytes" | "raw")
 }
 
 /// Appends the samples of one payload to `out`. Returns the name of the format.
@@ -217,6 +226,10 @@ fn choose(payload: &[u8], encoding: Option<&str>, configured: Option<&str>) -> R
     match (encoding.and_then(by_encoding), configured) {
         (Some(codec), _) => Ok(codec),
         (None, Some(name)) if name != AUTO => by_name(name).ok_or_else(|| CodecError::UnknownCodec(name.to_owned())),
+        // Eight bytes of another encoding would pass for a number.
+        _ if encoding.is_some_and(|named| !is_unnamed(named)) => {
+            Err(CodecError::Encoding(encoding.unwrap_or_default().chars().take(60).collect()))
+        }
         _ => ALL
             .into_iter()
             .find(|codec| codec.sniff(payload))
@@ -263,6 +276,11 @@ mod tests {
         assert_eq!(refuse(b"", None, None), CodecError::Empty);
         assert_eq!(refuse(b"\x01\x02", None, None), CodecError::Unrecognised { bytes: 2, first: 1 });
         assert_eq!(refuse(b"\x01\x02", None, Some("f64le")), CodecError::Length { bytes: 2 });
+        for encoding in ["cdr", "ros1", "protobuf", "image/png", "zenoh/serialized"] {
+            let told = refuse(&12.5_f64.to_le_bytes(), Some(encoding), Some(AUTO)).to_string();
+            assert!(told.contains(encoding) && told.contains("codec"), "{told}");
+            assert_eq!(one(&12.5_f64.to_le_bytes(), Some(encoding), Some("f64le")).1, Value::Number(12.5));
+        }
         assert_eq!(refuse(b"1", None, Some("xml")), CodecError::UnknownCodec("xml".into()));
         assert!(matches!(refuse(&vec![b' '; MAX_PAYLOAD + 1], None, None), CodecError::TooLarge { .. }));
         let crowd = format!("[{}1]", "1,".repeat(MAX_SAMPLES));

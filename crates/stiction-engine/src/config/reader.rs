@@ -153,7 +153,15 @@ impl<'a, 'i> TableReader<'a, 'i> {
             self.wrong_type(line, key, value, wanted);
             return None;
         };
-        Some((text.to_owned(), line))
+        self.printable(key, text, line).then(|| (text.to_owned(), line))
+    }
+
+    /// Whether a text has no control characters, which backslashes in double quotes make.
+    fn printable(&mut self, key: &'static str, text: &str, line: usize) -> bool {
+        let Some(found) = text.chars().find(|c| c.is_control()) else { return true };
+        let message = format!("{text:?} contains the control character {found:?}");
+        self.fault(line, key, message, "write the text in single quotes, or each backslash twice".to_owned());
+        false
     }
 
     /// One of several words.
@@ -179,10 +187,12 @@ impl<'a, 'i> TableReader<'a, 'i> {
         let lines = self.lines;
         let entry = |v: &Spanned<DeValue<'i>>| Some((v.get_ref().as_str()?.to_owned(), lines.of(v.span().start)));
         let list: Option<Vec<(String, usize)>> = value.as_array().and_then(|a| a.iter().map(entry).collect());
-        list.unwrap_or_else(|| {
+        let Some(mut list) = list else {
             self.wrong_type(line, key, value, "a list of texts, such as [\"tcp/127.0.0.1:7447\"]");
-            Vec::new()
-        })
+            return Vec::new();
+        };
+        list.retain(|(text, line)| self.printable(key, text, *line));
+        list
     }
 
     /// Two numbers.

@@ -1,6 +1,6 @@
 //! Cells and tables of any file format.
 
-use super::ExportError;
+use super::{Decimal, ExportError};
 
 /// One cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,6 +58,10 @@ pub(super) struct Table<'f> {
     pub units: Vec<String>,
     /// What was recognised.
     pub words: Vec<String>,
+    /// The decimal separator where the format fixes it.
+    pub decimal: Option<Decimal>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
 }
 
 /// Most letters of a unit; longer texts are descriptions.

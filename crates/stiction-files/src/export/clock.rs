@@ -4,9 +4,10 @@ use jiff::civil::DateTime;
 use jiff::tz::Offset;
 
 use super::ExportError;
+use super::names::unit_of_time;
 use super::stamp::{Civil, HOUR_NS, Number, Order, Stamp};
-use super::zone::{Reading, Zone, letters};
-use stiction::core::units::{NS_PER_S, format_rfc3339, ns_from_s, s_from_ns};
+use super::zone::{Letters, Reading, Zone, in_words};
+use stiction::core::units::{NS_PER_S, format_rfc3339, s_from_ns};
 
 /// Earliest year accepted without an option.
 const FIRST_YEAR: i64 = 1990;
@@ -32,22 +33,36 @@ pub enum TimeFormat {
     Epoch(i64),
     /// Days since this many days before 1970, local time.
     Days(i64),
+    /// Hundreds of ns since this many of them before 1970: local time in .NET, UTC in Windows.
+    Ticks(i64),
     /// Dates with this order of day, month and year.
     Dated(Order),
     /// A strftime pattern.
     Pattern(String),
 }
 
-/// All numeric forms with their words.
-const NUMBERS: [(&str, TimeFormat); 7] = [
+/// Hundreds of ns from year 1 of .NET, and from 1601, to 1970.
+const NET_1970: i64 = 621_355_968_000_000_000;
+const WINDOWS_1970: i64 = 116_444_736_000_000_000;
+
+/// All numeric forms with their words; the first eight are told by their size, except where two fit.
+const NUMBERS: [(&str, TimeFormat); 12] = [
     ("s", TimeFormat::Epoch(NS_PER_S)),
     ("ms", TimeFormat::Epoch(1_000_000)),
     ("us", TimeFormat::Epoch(1_000)),
     ("ns", TimeFormat::Epoch(1)),
     ("excel", TimeFormat::Days(EXCEL_1970)),
     ("datenum", TimeFormat::Days(DATENUM_1970)),
+    ("ticks", TimeFormat::Ticks(NET_1970)),
+    ("filetime", TimeFormat::Ticks(WINDOWS_1970)),
+    // Days since 1904 look like days since 1900 four years earlier: never guessed.
     ("excel1904", TimeFormat::Days(EXCEL_1904_1970)),
+    ("min", TimeFormat::Epoch(60 * NS_PER_S)),
+    ("h", TimeFormat::Epoch(3600 * NS_PER_S)),
+    ("d", TimeFormat::Epoch(DAY_S * NS_PER_S)),
 ];
+/// Of these, those told by size.
+const BY_SIZE: usize = 8;
 
 impl TimeFormat {
     /// Parses the value of --time-format.
@@ -67,17 +82,30 @@ impl TimeFormat {
         if text.contains('%') {
             return Ok(Self::Pattern(text.to_owned()));
         }
-        let known = "s, ms, us, ns, excel, excel1904, datenum, ymd, dmy, mdy, or a pattern such as %d/%m/%Y %H:%M:%S";
+        let known = "s, ms, us, ns, min, h, d, excel, excel1904, datenum, ticks, filetime, ymd, dmy, mdy, or a pattern such as %d/%m/%Y %H:%M:%S";
         Err(format!("{text:?} is not a time format; write {known}"))
+    }
+
+    /// Parses the value of --time-unit.
+    ///
+    /// # Errors
+    /// A sentence that lists the valid values.
+    pub fn unit(text: &str) -> Result<Self, String> {
+        let unit = unit_of_time(text).map(Self::Epoch);
+        unit.ok_or_else(|| format!("{text:?} is not a unit of time; write s, ms, us, ns, min, h or d"))
+    }
+
+    /// Its word in --time-format.
+    fn word(&self) -> &'static str {
+        NUMBERS.iter().find(|(_, form)| form == self).map_or("", |(word, _)| word)
     }
 
     /// In a few words.
     fn words(&self) -> String {
         match self {
-            Self::Epoch(unit) => {
-                let name = NUMBERS.iter().find(|(_, f)| *f == Self::Epoch(*unit)).map_or("", |(word, _)| word);
-                format!("{name} since 1970")
-            }
+            Self::Epoch(_) => format!("{} since 1970", self.word()),
+            Self::Ticks(NET_1970) => ".NET ticks".to_owned(),
+            Self::Ticks(_) => "Windows file times".to_owned(),
             Self::Days(DATENUM_1970) => "MATLAB day numbers".to_owned(),
             Self::Days(EXCEL_1904_1970) => "Excel day numbers since 1904".to_owned(),
             Self::Days(_) => "Excel day numbers".to_owned(),
@@ -100,6 +128,10 @@ impl TimeFormat {
                 let grains = (days * (DAY_S * NS_PER_S / DAYS_GRAIN_NS) as f64).round();
                 (grains.abs() < 9e12).then(|| Stamp::Local(grains as i64 * DAYS_GRAIN_NS))
             }
+            Self::Ticks(of_1970) => {
+                let ns = number.whole.checked_sub(*of_1970)?.checked_mul(100)?;
+                Some(if *of_1970 == NET_1970 { Stamp::Local(ns) } else { Stamp::Instant(ns) })
+            }
             Self::Dated(_) | Self::Pattern(_) => None,
         }
     }
@@ -110,8 +142,14 @@ impl TimeFormat {
 pub(super) struct Axis {
     /// The column's name, for messages.
     pub name: String,
-    /// Whether numbers may count from any start: the column is called `t` or names a unit of seconds.
-    pub from_anywhere: Option<TimeFormat>,
+    /// The unit that the column's name gives: numbers count from any start.
+    pub unit: Option<TimeFormat>,
+    /// Whether the column is called `t`: numbers may count seconds from any start.
+    pub is_t: bool,
+    /// The zone that the column's name gives.
+    pub named_zone: Option<Zone>,
+    /// Letters such as CET in the column's name.
+    pub letters: Option<Letters>,
     /// One per row.
     pub stamps: Vec<Stamp>,
     /// Line numbers of the rows.
@@ -163,7 +201,10 @@ impl Axis {
     /// Finds the meaning of the column. Each of `groups` is a set of rows with a common clock (all rows, or those of a tag).
     pub(super) fn times(&self, groups: &[Vec<u32>], asked: TimeOptions<'_>) -> Result<Times, ExportError> {
         let (form, why) = self.form(asked)?;
-        let from_anywhere = self.from_anywhere.is_some() && self.stamps.first().is_some_and(|s| !s.is_dated());
+        let named = self.unit.is_some() || self.is_t;
+        let own = self.is_t && self.unit.is_some();
+        let from_anywhere = named && (own || self.stamps.first().is_some_and(|s| !s.is_dated()));
+        let first_s = if from_anywhere { i64::MIN } else { FIRST_S };
         let clocks = self.clocks(form.as_ref())?;
         let mut t_ns = vec![0; clocks.len()];
         let (mut forward, mut backward, mut twice, mut zoned) = (0, 0, 0, false);
@@ -174,15 +215,14 @@ impl Axis {
             backward += read.backward;
             twice += read.twice;
             zoned |= read.zoned;
-            if !from_anywhere && asked.form.is_none() {
-                self.check(rows, &t_ns, asked.end_s)?;
-            }
             if asked.form.is_none() {
+                self.check(rows, &t_ns, first_s..asked.end_s)?;
                 self.check_sampling(rows, &t_ns)?;
             }
+            self.check_days(rows, &t_ns)?;
         }
         let mut words = form.map_or_else(|| "typed".to_owned(), |f| f.words()) + &why;
-        if let (true, Some(zone)) = (zoned, asked.zone) {
+        if let (true, Some(zone)) = (zoned, asked.zone.or(self.named_zone.as_ref())) {
             words += &format!(", {}", zone.name());
             if twice > 0 {
                 words += &format!(
@@ -214,52 +254,85 @@ impl Axis {
         }
     }
 
-    /// The unit for which every number is between 1990 and the end of next year.
+    /// The unit in the column's name, else the one for which every number is between 1990 and the end of next year.
     fn form_of_numbers(&self, end_s: i64, first: usize) -> Result<TimeFormat, ExportError> {
-        let plausible = |form: &TimeFormat, n: Number| match form.of_number(n) {
-            Some(Stamp::Instant(ns) | Stamp::Local(ns)) => (FIRST_S..end_s).contains(&ns.div_euclid(NS_PER_S)),
-            _ => false,
+        let numbers = self.stamps.iter().enumerate().map(|(row, stamp)| match stamp {
+            Stamp::Number(number) => Ok((row, *number)),
+            _ => Err(self.mixed(row, first)),
+        });
+        let numbers: Vec<(usize, Number)> = numbers.collect::<Result<_, _>>()?;
+        let seconds = |form: &TimeFormat, n: Number| match form.of_number(n) {
+            Some(Stamp::Instant(ns) | Stamp::Local(ns)) => Some(ns.div_euclid(NS_PER_S)),
+            _ => None,
         };
-        // Days since 1904 look like days since 1900 four years earlier: never guessed.
-        let mut left: Vec<&TimeFormat> = NUMBERS[..6].iter().map(|(_, form)| form).collect();
-        for (row, stamp) in self.stamps.iter().enumerate() {
-            let Stamp::Number(number) = stamp else {
-                return Err(self.mixed(row, first));
-            };
+        let plausible = |form: &TimeFormat, n: Number| seconds(form, n).is_some_and(|s| (FIRST_S..end_s).contains(&s));
+        if let Some(unit) = &self.unit {
+            self.doubt_days(unit, &numbers, plausible)?;
+            let late = numbers.iter().find(|(_, n)| seconds(unit, *n).is_none_or(|s| s >= end_s));
+            return late.map_or(Ok(unit.clone()), |(row, number)| {
+                let text =
+                    format!("{:?} contains {}, in {} later than next year", self.name, number.value, unit.word());
+                Err(self.fault(*row, text, "give the format: --time-format s, ms, us, ns or ticks"))
+            });
+        }
+        let mut left: Vec<&TimeFormat> = NUMBERS[..BY_SIZE].iter().map(|(_, form)| form).collect();
+        for (row, number) in &numbers {
             left.retain(|form| plausible(form, *number));
             if left.is_empty() {
-                if let Some(form) = &self.from_anywhere {
-                    return Ok(form.clone());
+                if self.is_t {
+                    return Ok(TimeFormat::Epoch(NS_PER_S));
                 }
                 let text = format!(
-                    "{:?} contains {}, which is not a time between {FIRST_YEAR} and next year in s, ms, us, ns, Excel or MATLAB days",
+                    "{:?} contains {}, which is not a time between {FIRST_YEAR} and next year in s, ms, us, ns, ticks, Excel or MATLAB days",
                     self.name, number.value
                 );
-                return Err(self.fault(
-                    row,
-                    text,
-                    "give the format: --time-format s (from any start), ms, excel, datenum, or a pattern",
-                ));
+                let remedy =
+                    "give the format: --time-format s (from any start), ms, min, h, excel, datenum, or a pattern";
+                return Err(self.fault(*row, text, remedy));
             }
         }
-        let form = left[0].clone();
-        if let (TimeFormat::Days(_), Some(named)) = (&form, &self.from_anywhere) {
-            return self.seconds_or_days(&form, named);
+        if let [one, other, ..] = left[..] {
+            let text = format!(
+                "{:?} contains {}, which may be {} or {}",
+                self.name,
+                numbers[0].1.whole,
+                one.words(),
+                other.words()
+            );
+            let remedy = format!("choose one: --time-format {} or --time-format {}", other.word(), one.word());
+            return Err(self.fault(numbers[0].0, text, &remedy));
         }
-        Ok(form)
+        if self.is_t {
+            let seconds = TimeFormat::Epoch(NS_PER_S);
+            self.doubt_days(&seconds, &numbers, plausible)?;
+            if matches!(left[0], TimeFormat::Days(_)) {
+                return Ok(seconds);
+            }
+        }
+        Ok(left[0].clone())
     }
 
-    /// `t` above 46000 may be seconds of a long record, or days of a spreadsheet.
-    fn seconds_or_days(&self, days: &TimeFormat, seconds: &TimeFormat) -> Result<TimeFormat, ExportError> {
-        let values = self.stamps.iter().filter_map(|s| if let Stamp::Number(n) = s { Some(n.value) } else { None });
-        let values: Vec<f64> = values.collect();
-        let mut steps: Vec<f64> = values.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|s| *s > 0.0).collect();
+    /// `t` above 46000 in fine steps may be seconds of a long record, or days of a spreadsheet.
+    fn doubt_days(
+        &self,
+        unit: &TimeFormat,
+        numbers: &[(usize, Number)],
+        plausible: impl Fn(&TimeFormat, Number) -> bool,
+    ) -> Result<(), ExportError> {
+        let Some((row, first)) = numbers.first().filter(|_| *unit == TimeFormat::Epoch(NS_PER_S)) else {
+            return Ok(());
+        };
+        let mut steps: Vec<f64> =
+            numbers.windows(2).map(|w| (w[1].1.value - w[0].1.value).abs()).filter(|s| *s > 0.0).collect();
         if steps.is_empty() || *median(&mut steps) >= LONGEST_DAYS {
-            return Ok(seconds.clone());
+            return Ok(());
         }
-        let flag = NUMBERS.iter().find(|(_, form)| form == days).map_or("excel", |(word, _)| word);
-        let text = format!("{:?} contains {}, which may be seconds or {}", self.name, values[0], days.words());
-        Err(self.fault(0, text, &format!("use --time-format s or --time-format {flag}")))
+        let days = [TimeFormat::Days(EXCEL_1970), TimeFormat::Days(DATENUM_1970)];
+        let days = days.iter().find(|days| numbers.iter().all(|(_, n)| plausible(days, *n)));
+        days.map_or(Ok(()), |days| {
+            let text = format!("{:?} contains {}, which may be seconds or {}", self.name, first.value, days.words());
+            Err(self.fault(*row, text, &format!("use --time-format s or --time-format {}", days.word())))
+        })
     }
 
     /// The order of day, month and year that fits all rows.
@@ -363,6 +436,17 @@ impl Axis {
         self.stamps.iter().enumerate().map(|(row, stamp)| read(row, stamp)).collect()
     }
 
+    /// The zone of local times: as asked, which must be that of the column's name.
+    fn zone<'a>(&'a self, row: usize, clocks: &[Clock], asked: TimeOptions<'a>) -> Result<&'a Zone, ExportError> {
+        match (asked.zone, &self.named_zone) {
+            (Some(zone), Some(named)) if !zone.agrees(named) => {
+                let text = format!("the heading {:?} names {}, --tz gives {}", self.name, named.name(), zone.name());
+                Err(self.fault(row, text, &format!("leave --tz out, or give --tz {}", named.name())))
+            }
+            (zone, named) => zone.or(named.as_ref()).ok_or_else(|| self.without_zone(row, clocks)),
+        }
+    }
+
     /// Instants of the rows of one clock.
     fn group(&self, rows: &[u32], clocks: &[Clock], asked: TimeOptions<'_>) -> Result<Group, ExportError> {
         let raw = |row: u32| match clocks[row as usize].0 {
@@ -382,14 +466,14 @@ impl Axis {
                 zoned: false,
             });
         };
-        let Some(zone) = asked.zone else { return Err(self.without_zone(*first as usize, clocks)) };
+        let zone = self.zone(*first as usize, clocks, asked)?;
         let mut ordered: Vec<u32> = rows.to_vec();
         if backward > forward {
             ordered.reverse();
         }
         let reading = |row: &u32| Reading {
             local_ns: raw(*row),
-            letters: clocks[*row as usize].1,
+            letters: clocks[*row as usize].1.or(self.letters),
             line: self.lines[*row as usize],
         };
         let (mut t_ns, twice) = zone.instants(&ordered.iter().map(reading).collect::<Vec<_>>())?;
@@ -408,15 +492,15 @@ impl Axis {
             Some(found) => format!(
                 "{:?} contains {shown} {}, whose letters name a zone for half of the year only",
                 self.name,
-                letters(found)
+                in_words(found)
             ),
             None => format!("{:?} contains {shown} without a time zone", self.name),
         };
         self.fault(row, text, "give the time zone: --tz Europe/Berlin, or --tz UTC")
     }
 
-    fn check(&self, rows: &[u32], t_ns: &[i64], end_s: i64) -> Result<(), ExportError> {
-        let odd = rows.iter().find(|row| !(FIRST_S..end_s).contains(&t_ns[**row as usize].div_euclid(NS_PER_S)));
+    fn check(&self, rows: &[u32], t_ns: &[i64], believed_s: std::ops::Range<i64>) -> Result<(), ExportError> {
+        let odd = rows.iter().find(|row| !believed_s.contains(&t_ns[**row as usize].div_euclid(NS_PER_S)));
         odd.map_or(Ok(()), |row| {
             let when = format_rfc3339(t_ns[*row as usize]);
             let text = format!("{:?} gives {when}, which is not between {FIRST_YEAR} and next year", self.name);
@@ -428,18 +512,31 @@ impl Axis {
         })
     }
 
+    /// Several rows of one date without a time of day lack it.
+    fn check_days(&self, rows: &[u32], t_ns: &[i64]) -> Result<(), ExportError> {
+        let no_clock = |row: &u32| civil_of(&self.stamps[*row as usize]).is_some_and(|civil| civil.clock_ns == 0);
+        let same = rows.windows(2).find(|w| t_ns[w[0] as usize] == t_ns[w[1] as usize]);
+        match same {
+            Some(pair) if rows.iter().all(no_clock) => {
+                let text = format!("{:?} gives the same date as the row before, without a time of day", self.name);
+                Err(self.fault(pair[1] as usize, text, "name a column with date and time: --map t=COLUMN,op=…,pv=…"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn check_sampling(&self, rows: &[u32], t_ns: &[i64]) -> Result<(), ExportError> {
         let mut ordered: Vec<i64> = rows.iter().map(|row| t_ns[*row as usize]).collect();
         ordered.sort_unstable();
         check_sampling(&ordered).map_err(|step_s| {
             let text = format!("{:?} steps by {step_s:.3e} s, faster than loops are sampled", self.name);
-            self.fault(0, text, "give the format: --time-format s, ms, us, ns, excel or datenum")
+            self.fault(0, text, "give the format: --time-format s, ms, us, ns, ticks, excel or datenum")
         })
     }
 }
 
 /// A local time or an instant, and letters such as CEST after it.
-type Clock = (Stamp, Option<[u8; 5]>);
+type Clock = (Stamp, Option<Letters>);
 
 struct Group {
     t_ns: Vec<i64>,
@@ -467,40 +564,6 @@ pub(super) fn check_sampling(ordered_ns: &[i64]) -> Result<(), f64> {
     }
     let step_s = *median(&mut steps);
     if step_s < LEAST_SAMPLING_S { Err(step_s) } else { Ok(()) }
-}
-
-/// Whether the seconds of a table `t,op,pv` look like spreadsheet days, or are outside plausible years; if so, the reason
-/// and the option that settles it.
-pub(super) fn doubt_about_seconds(t_ns: &[i64], end_s: i64) -> Result<(), (String, &'static str)> {
-    let mut ordered = t_ns.to_vec();
-    ordered.sort_unstable();
-    let (Some(first), Some(last)) = (ordered.first(), ordered.last()) else { return Ok(()) };
-    if let Err(step_s) = check_sampling(&ordered) {
-        let text = format!("\"t\" steps by {step_s:.3e} s, faster than loops are sampled");
-        return Err((text, "give the format: --time-format s, excel, datenum, ms, us or ns"));
-    }
-    let mut steps: Vec<f64> =
-        ordered.windows(2).map(|w| s_from_ns(w[1].saturating_sub(w[0]))).filter(|s| *s > 0.0).collect();
-    let fine = !steps.is_empty() && *median(&mut steps) < LONGEST_DAYS;
-    for (of_1970, name) in [(EXCEL_1970, "--time-format excel"), (DATENUM_1970, "--time-format datenum")] {
-        let (from, to) = (FIRST_S / DAY_S + of_1970, end_s / DAY_S + of_1970);
-        let inside = |ns: i64| (ns_from_s(from as f64)..ns_from_s(to as f64)).contains(&ns);
-        if fine && inside(*first) && inside(*last) {
-            let text = format!("\"t\" contains {}, which may be seconds or days of a spreadsheet", s_from_ns(*first));
-            let remedy = if name.ends_with("excel") {
-                "use --time-format s or --time-format excel"
-            } else {
-                "use --time-format s or --time-format datenum"
-            };
-            return Err((text, remedy));
-        }
-    }
-    // Records that count from their own start are read as they stand; dates beyond next year are not.
-    if last.div_euclid(NS_PER_S) >= end_s {
-        let text = format!("\"t\" gives {}, later than next year", format_rfc3339(*last));
-        return Err((text, "give the format: --time-format s, ms, us or ns"));
-    }
-    Ok(())
 }
 
 /// A time by a strftime pattern.

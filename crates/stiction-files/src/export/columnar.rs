@@ -32,7 +32,7 @@ pub(super) fn table(kind: InputKind, bytes: &[u8]) -> Result<Table<'static>, Exp
     let (schema, _) = guarded(|| rows.open())?;
     let names = schema.fields().iter().map(|f| f.name().clone()).collect();
     let words = vec![if kind == InputKind::Parquet { "Parquet".to_owned() } else { "Arrow IPC".to_owned() }];
-    Ok(Table { names, line: 0, rows: Box::new(rows), units: Vec::new(), words })
+    Ok(Table { names, line: 0, rows: Box::new(rows), units: Vec::new(), words, decimal: None, warnings: Vec::new() })
 }
 
 struct Columns {

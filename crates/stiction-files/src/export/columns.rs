@@ -4,8 +4,9 @@ use super::ExportError;
 use super::cell::{Cell, Table};
 use super::clock::TimeFormat;
 use super::map::{Map, Part, same};
-use super::names::{is_date, is_quality, is_tag, is_time, is_value, plain, unit};
+use super::names::{is_date, is_tag, is_time, is_value, plain, quality_of, role, time_unit};
 use super::stamp::Stamp;
+use super::zone::{self, Letters, Zone};
 use stiction::core::units::NS_PER_S;
 
 /// Rows examined to recognise columns.
@@ -20,10 +21,14 @@ pub(super) struct TimeColumn {
     pub clock_at: Option<usize>,
     /// Name for messages.
     pub name: String,
-    /// The unit, if numbers may count from any start.
-    pub from_anywhere: Option<TimeFormat>,
+    /// The unit in its name: numbers then count from any start.
+    pub unit: Option<TimeFormat>,
+    /// Whether it is called `t`: numbers may count seconds from any start.
+    pub is_t: bool,
     /// The zone in its name.
-    pub is_utc: bool,
+    pub zone: Option<Zone>,
+    /// Letters such as CET in its name.
+    pub letters: Option<Letters>,
 }
 
 /// A value column in a wide table.
@@ -35,6 +40,8 @@ pub(super) struct ValueColumn {
     pub time: usize,
     /// Its quality codes, if any.
     pub quality: Option<usize>,
+    /// Its unit, if a column has it.
+    pub unit: Option<usize>,
     /// The tag.
     pub tag: String,
 }
@@ -61,6 +68,8 @@ pub(super) struct Layout {
 struct Seen {
     /// Cells that are written dates or typed times.
     dates: usize,
+    /// Written dates without a time of day.
+    days: usize,
     /// Cells that are times of day only.
     clocks: usize,
     /// Non-empty cells.
@@ -92,7 +101,7 @@ fn look(table: &Table<'_>) -> Result<Vec<Seen>, ExportError> {
     let mut rows = 0;
     table.rows.each(&mut |_, cells| {
         while seen.len() < cells.len() {
-            seen.push(Seen { dates: 0, clocks: 0, filled: 0, texts: std::collections::BTreeSet::new() });
+            seen.push(Seen { dates: 0, days: 0, clocks: 0, filled: 0, texts: std::collections::BTreeSet::new() });
         }
         for (column, cell) in seen.iter_mut().zip(cells) {
             column.filled += usize::from(*cell != Cell::Empty);
@@ -101,6 +110,7 @@ fn look(table: &Table<'_>) -> Result<Vec<Seen>, ExportError> {
                 Cell::Text(text) => {
                     let dated = Stamp::read(text).is_some_and(Stamp::is_dated);
                     column.dates += usize::from(dated);
+                    column.days += usize::from(dated && !text.contains(':'));
                     column.clocks += usize::from(is_clock_only(text));
                     if !dated && column.texts.len() < LOOKED_AT {
                         column.texts.insert((*text).to_owned());
@@ -137,13 +147,13 @@ pub(super) fn listed(names: &[String]) -> String {
     if more == 0 { shown.join(", ") } else { format!("{} and {more} more", shown.join(", ")) }
 }
 
-/// Recognises the role of each column of a table.
+/// Recognises the role of each column of a table; `marks`: quality columns count.
 ///
 /// # Errors
 /// No time column, no value column, or a column of `--map` that does not exist.
-pub(super) fn layout(table: &Table<'_>, map: Option<&Map>) -> Result<Layout, ExportError> {
+pub(super) fn layout(table: &Table<'_>, map: Option<&Map>, marks: bool) -> Result<Layout, ExportError> {
     let seen = look(table)?;
-    let finder = Finder { table, map, seen: &seen };
+    let finder = Finder { table, map, seen: &seen, marks };
     let times = finder.times()?;
     if let Some(shape) = finder.long(&times)? {
         return Ok(Layout { times, shape });
@@ -156,6 +166,8 @@ struct Finder<'a, 'f> {
     table: &'a Table<'f>,
     map: Option<&'a Map>,
     seen: &'a [Seen],
+    /// Whether quality columns count.
+    marks: bool,
 }
 
 impl Finder<'_, '_> {
@@ -180,19 +192,32 @@ impl Finder<'_, '_> {
 
     fn time(&self, at: usize, clock_at: Option<usize>) -> TimeColumn {
         let name = self.name(at);
-        let unit_of = |name: &str| match unit(name).unwrap_or_default().to_lowercase().as_str() {
-            "s" | "sec" | "second" | "seconds" => Some(TimeFormat::Epoch(NS_PER_S)),
-            "ms" | "msec" | "milliseconds" => Some(TimeFormat::Epoch(1_000_000)),
-            _ => None,
-        };
-        let own = name.trim().eq_ignore_ascii_case("t").then_some(TimeFormat::Epoch(NS_PER_S));
+        let is_t = name.trim().eq_ignore_ascii_case("t");
+        let own = is_t && self.is_own();
+        let unit = time_unit(&name).or(own.then_some(NS_PER_S)).map(TimeFormat::Epoch);
+        let bracketed = super::names::unit(&name).unwrap_or_default();
         let is_utc = plain(&name.replace(['(', ')', '[', ']'], " ")).split(' ').any(|w| w == "utc" || w == "gmt");
-        TimeColumn { at, clock_at, from_anywhere: unit_of(&name).or(own), name, is_utc }
+        let zone = Zone::parse(bracketed).ok().filter(|_| !zone::is_letters(bracketed));
+        let zone = zone.or_else(|| is_utc.then(Zone::utc));
+        let letters = zone.is_none().then(|| zone::letters_of(bracketed)).flatten().filter(|_| unit.is_none());
+        TimeColumn { at, clock_at, name, unit, is_t, zone, letters }
+    }
+
+    /// Whether the names are those of the program's own tables.
+    fn is_own(&self) -> bool {
+        super::is_own(&self.table.names)
+    }
+
+    /// The column of the time of day, where a column has dates alone.
+    fn clock_of(&self, date: usize) -> Option<usize> {
+        let seen = self.seen.get(date).filter(|seen| seen.days > 0 && seen.days == seen.dates)?;
+        let mut clocks = (0..self.seen.len()).filter(|at| self.seen[*at].is_clocks());
+        clocks.next().filter(|_| seen.is_dates() && clocks.next().is_none())
     }
 
     fn times(&self) -> Result<Vec<TimeColumn>, ExportError> {
         if let Some(at) = self.mapped(Part::Time)? {
-            return Ok(vec![self.time(at, None)]);
+            return Ok(vec![self.time(at, self.clock_of(at))]);
         }
         let dates: Vec<usize> = (0..self.seen.len()).filter(|at| self.seen[*at].is_dates()).collect();
         let clocks: Vec<usize> = (0..self.seen.len()).filter(|at| self.seen[*at].is_clocks()).collect();
@@ -241,7 +266,7 @@ impl Finder<'_, '_> {
         let by = |is: fn(&str) -> bool| (0..names.len()).find(|at| is(&names[*at]) && !is_time(at));
         let tag = self.mapped(Part::Tag)?.or_else(|| by(is_tag));
         let value = self.mapped(Part::Value)?.or_else(|| by(is_value));
-        let quality = self.mapped(Part::Quality)?.or_else(|| by(is_quality));
+        let quality = self.mapped(Part::Quality)?.or_else(|| by(|name| quality_of(name).is_some()));
         match (tag, value) {
             (Some(tag), Some(value)) if times.len() == 1 => {
                 Ok(Some(Shape::Long { tag, value, quality: quality.filter(|q| *q != tag && *q != value) }))
@@ -263,20 +288,32 @@ impl Finder<'_, '_> {
             }
             None => Vec::new(),
         };
+        let (mut marks, mut units): (Vec<(usize, String)>, Vec<(usize, String)>) = (Vec::new(), Vec::new());
         for at in (0..self.columns()).filter(|at| !is_time(*at)) {
             let name = self.table.names.get(at).map_or("", String::as_str);
-            if is_quality(name) && values.last().is_some_and(|v| v.at + 1 == at) {
-                if let Some(last) = values.last_mut() {
-                    last.quality = Some(at);
-                }
-                continue;
-            }
             let tag = match mapped.iter().find(|(column, _)| *column == at) {
                 Some((_, tag)) => (*tag).to_owned(),
                 None if name.is_empty() => continue,
-                None => name.to_owned(),
+                None => match (quality_of(name), plain(name).strip_suffix(" unit")) {
+                    (Some(of), _) => {
+                        marks.push((at, of));
+                        continue;
+                    }
+                    (None, Some(of)) => {
+                        units.push((at, of.to_owned()));
+                        continue;
+                    }
+                    _ => name.to_owned(),
+                },
             };
-            values.push(ValueColumn { at, time: time_of(at), quality: None, tag });
+            values.push(ValueColumn { at, time: time_of(at), quality: None, unit: None, tag });
+        }
+        for value in &mut values {
+            value.unit = units.iter().find(|(_, of)| *of == plain(&value.tag)).map(|(at, _)| *at);
+        }
+        self.own_times(times, &mapped)?;
+        if self.marks {
+            self.judge(&mut values, &marks)?;
         }
         if values.is_empty() {
             let text = if self.table.names.is_empty() {
@@ -288,5 +325,60 @@ impl Finder<'_, '_> {
             return Err(ExportError::at(self.table.line, text, remedy));
         }
         Ok(values)
+    }
+
+    /// With `t` in --map one time column counts: another one between the signals would be that of the second.
+    fn own_times(&self, times: &[TimeColumn], mapped: &[(usize, &str)]) -> Result<(), ExportError> {
+        let (first, last) = (mapped.iter().map(|m| m.0).min(), mapped.iter().map(|m| m.0).max());
+        let (Some(first), Some(last)) = (first, last) else { return Ok(()) };
+        let is_time = |at: usize| times.iter().any(|t| t.at == at || t.clock_at == Some(at));
+        let other = (first..last).find(|at| self.seen.get(*at).is_some_and(Seen::is_dates) && !is_time(*at));
+        other.map_or(Ok(()), |at| {
+            let what = format!("column {} also contains times, those of the signal behind it", at + 1);
+            let remedy = "leave t= out of --map, so that each signal is read at its own times";
+            Err(ExportError::at(self.table.line, what, remedy))
+        })
+    }
+
+    /// Gives each quality column to the values that it judges: by name, or by its place behind its value; one for all
+    /// stands before or behind all values.
+    fn judge(&self, values: &mut [ValueColumn], marks: &[(usize, String)]) -> Result<(), ExportError> {
+        let (unnamed, named): (Vec<_>, Vec<_>) = marks.iter().partition(|(_, of)| of.is_empty());
+        let names = &self.table.names;
+        for (at, of) in named {
+            let own = |value: &ValueColumn| names.get(value.at).map_or_else(|| value.tag.clone(), |name| plain(name));
+            let signal = |value: &ValueColumn| role(&value.tag).map(|role| role.signal.name().to_owned());
+            let mut found = values.iter_mut().filter(|v| own(v) == *of).peekable();
+            if found.peek().is_some() {
+                found.for_each(|value| value.quality = Some(*at));
+                continue;
+            }
+            let mut found = values.iter_mut().filter(|v| signal(v).as_deref() == Some(of)).peekable();
+            if found.peek().is_some() {
+                found.for_each(|value| value.quality = Some(*at));
+            } else if values.iter().any(|v| role(&v.tag).is_some() && own(v).starts_with(of.as_str())) {
+                return Err(self.whose(*at));
+            }
+        }
+        let columns: Vec<usize> = values.iter().map(|v| v.at).collect();
+        match &unnamed[..] {
+            [] => {}
+            [(at, _)] if columns.iter().all(|c| c < at) || columns.iter().all(|c| c > at) => {
+                values.iter_mut().filter(|v| v.quality.is_none()).for_each(|value| value.quality = Some(*at));
+            }
+            several => {
+                for (at, _) in several {
+                    let before = values.iter_mut().find(|v| v.at + 1 == *at);
+                    before.ok_or_else(|| self.whose(*at))?.quality = Some(*at);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn whose(&self, at: usize) -> ExportError {
+        let what = format!("column {}, {:?}, does not show which values it judges", at + 1, self.name(at));
+        let remedy = "name it after its column, such as \"PV Quality\", or leave it out with --quality ignore";
+        ExportError::at(self.table.line, what, remedy)
     }
 }

@@ -1,12 +1,12 @@
 //! Text to a table: cell separator, comment lines, names, units, and the first row.
 
-use super::ExportError;
 use super::cell::{Cell, Rows, Table, Take};
 use super::names::is_time;
 use super::stamp::Stamp;
+use super::{Decimal, ExportError, ReadOptions};
 use crate::number::is_missing_word;
 
-/// Lines examined to find the separator and the first rows.
+/// Rows examined to find the separator and the first rows.
 const LOOKED_AT: usize = 200;
 /// Cell separators by preference: a comma also occurs in numbers.
 const DELIMITERS: [(u8, &str); 4] = [(b'\t', "tabs"), (b';', "semicolons"), (b'|', "bars"), (b',', "commas")];
@@ -17,39 +17,29 @@ const MOST_UNITS: usize = 4;
 const BETWEEN_COMMAS: &str =
     "quote numbers with a decimal comma in a comma-separated file, or export with semicolons or tabs";
 
-/// A line of a text.
-#[derive(Clone, Copy)]
-struct Line<'t> {
-    /// From 1.
-    number: u64,
+/// A row with its place.
+struct Row {
+    /// Line in the file, from 1.
+    line: u64,
     /// Byte offset of its start.
     start: usize,
-    text: &'t str,
+    cells: Vec<String>,
 }
 
-fn is_remark(line: &str, delimiter: Option<u8>) -> bool {
-    let line = line.trim_start_matches('"').trim_start();
-    ["#", "//", "%", "!", "--"].iter().any(|mark| line.starts_with(mark))
-        || (line.starts_with(';') && delimiter.is_some_and(|d| d != b';'))
+impl Row {
+    /// Cells up to the last that is filled.
+    fn width(&self) -> usize {
+        width(self.cells.iter().map(String::as_str))
+    }
 }
 
-fn first_lines(text: &str) -> Vec<Line<'_>> {
-    let mut start = 0;
-    let lines = text.split_inclusive('\n').enumerate().map(|(at, raw)| {
-        let line = Line { number: at as u64 + 1, start, text: raw.trim_end_matches(['\n', '\r']) };
-        start += raw.len();
-        line
-    });
-    lines.take(LOOKED_AT).collect()
+fn width<'c>(cells: impl Iterator<Item = &'c str>) -> usize {
+    cells.enumerate().filter(|(_, cell)| !cell.is_empty()).last().map_or(0, |(at, _)| at + 1)
 }
 
-/// Cells of one line.
-fn cells(line: &str, delimiter: u8) -> Vec<String> {
-    let mut reader = reader(line, delimiter);
-    let mut row = ::csv::StringRecord::new();
-    // One line of valid text cannot fail.
-    let _ = reader.read_record(&mut row);
-    row.iter().map(str::to_owned).collect()
+fn is_remark(first: &str, delimiter: u8) -> bool {
+    ["#", "//", "%", "!", "--"].iter().any(|mark| first.starts_with(mark))
+        || (first.starts_with(';') && delimiter != b';')
 }
 
 fn reader(text: &str, delimiter: u8) -> ::csv::Reader<&[u8]> {
@@ -61,41 +51,57 @@ fn reader(text: &str, delimiter: u8) -> ::csv::Reader<&[u8]> {
         .from_reader(text.as_bytes())
 }
 
-/// The most frequent number of cells per line, and the share of lines that have it.
-fn regularity(lines: &[Line<'_>], delimiter: u8) -> (usize, f64) {
+/// The first rows, without Excel's `sep=` line.
+fn first_rows(text: &str, delimiter: u8) -> Vec<Row> {
+    let row = |cells: ::csv::StringRecord| {
+        let place = cells.position();
+        let (line, start) = place.map_or((1, 0), |p| (p.line(), p.byte() as usize));
+        Row { line, start, cells: cells.iter().map(str::to_owned).collect() }
+    };
+    let rows = reader(text, delimiter).into_records().map_while(Result::ok).take(LOOKED_AT).map(row);
+    rows.filter(|row| row.width() > 0 && !(row.line == 1 && text.starts_with("sep="))).collect()
+}
+
+/// The most frequent number of cells per row, and the share of rows that have it.
+fn regularity(rows: &[Row], delimiter: u8) -> (usize, f64) {
     let mut counts = std::collections::BTreeMap::new();
-    let kept = lines.iter().filter(|l| !l.text.trim().is_empty() && !is_remark(l.text, Some(delimiter)));
     let mut all = 0_usize;
-    for line in kept {
-        *counts.entry(cells(line.text, delimiter).len()).or_insert(0_usize) += 1;
+    for row in rows.iter().filter(|row| !is_remark(&row.cells[0], delimiter)) {
+        *counts.entry(row.cells.len()).or_insert(0_usize) += 1;
         all += 1;
     }
-    let usual = counts.into_iter().max_by_key(|(cells, lines)| (*lines, *cells));
-    usual.map_or((0, 0.0), |(cells, lines)| (cells, lines as f64 / all as f64))
+    let usual = counts.into_iter().max_by_key(|(cells, rows)| (*rows, *cells));
+    usual.map_or((0, 0.0), |(cells, rows)| (cells, rows as f64 / all as f64))
 }
 
-fn delimiter_of(lines: &[Line<'_>]) -> Result<(u8, usize), ExportError> {
+/// The separator, the first rows, and their usual number of cells.
+fn split(text: &str, wanted: Option<u8>) -> Result<(u8, Vec<Row>, usize), ExportError> {
+    let of = |delimiter: u8| {
+        let rows = first_rows(text, delimiter);
+        let (cells, share) = regularity(&rows, delimiter);
+        (delimiter, rows, cells, share)
+    };
     // Excel's own hint.
-    if let Some(mark) = lines.first().and_then(|l| l.text.trim().strip_prefix("sep=")).and_then(|m| m.bytes().next()) {
-        return Ok((mark, regularity(&lines[1..], mark).0));
+    let hint = text.strip_prefix("sep=").and_then(|mark| mark.bytes().next());
+    if let Some(delimiter) = wanted.or(hint) {
+        let (delimiter, rows, cells, _) = of(delimiter);
+        return Ok((delimiter, rows, cells));
     }
-    let fits: Vec<(u8, usize, f64)> = DELIMITERS
-        .iter()
-        .map(|(d, _)| (*d, regularity(lines, *d)))
-        .filter(|(_, (cells, _))| *cells >= 2)
-        .map(|(d, (cells, share))| (d, cells, share))
-        .collect();
-    let plain = fits.iter().find(|(_, _, share)| *share >= 0.9);
-    let best = plain.or_else(|| fits.iter().max_by(|a, b| a.2.total_cmp(&b.2)));
-    best.map(|(d, cells, _)| (*d, *cells)).ok_or_else(|| {
-        let line = lines.iter().find(|l| !l.text.trim().is_empty());
-        let (number, seen) = line.map_or((1, String::new()), |l| (l.number, l.text.chars().take(60).collect()));
+    let mut fits: Vec<_> = DELIMITERS.iter().map(|(d, _)| of(*d)).filter(|(_, _, cells, _)| *cells >= 2).collect();
+    let plain = fits.iter().position(|(.., share)| *share >= 0.9);
+    let best = plain.or_else(|| (0..fits.len()).max_by(|a, b| fits[*a].3.total_cmp(&fits[*b].3)));
+    let Some(best) = best else {
+        let (number, line) = text.lines().zip(1..).find(|(l, _)| !l.trim().is_empty()).map_or((1, ""), |(l, n)| (n, l));
+        let seen: String = line.chars().take(60).collect();
         let text = format!("{seen:?} has no commas, semicolons, tabs or bars between cells");
-        ExportError::at(number, text, "export a table with one row per time, or give the separator with --delimiter")
-    })
+        let remedy = "export a table with one row per time, or give the separator with --delimiter";
+        return Err(ExportError::at(number, text, remedy));
+    };
+    let (delimiter, rows, cells, _) = fits.swap_remove(best);
+    Ok((delimiter, rows, cells))
 }
 
-/// Whether a row has values: a time, a number, or a word for a missing value after a time.
+/// Whether a row has values: a time or a number.
 fn is_values(row: &[String]) -> bool {
     row.iter().any(|cell| match Stamp::read(cell) {
         Some(Stamp::Number(_)) => true,
@@ -104,81 +110,89 @@ fn is_values(row: &[String]) -> bool {
     })
 }
 
+/// The row of names among those above the first row of values: of those that fit, the first.
+fn head_of(kept: &[Row], first: usize, usual: usize) -> usize {
+    // A row may end with a delimiter that the names lack, and the names with empty ones.
+    let open_end = usize::from(kept[first].cells.last().is_some_and(String::is_empty));
+    let full = |row: &Row| row.cells.len() + open_end >= usual && row.width() >= usual.min(2);
+    let above = first - first.min(MOST_UNITS + 1)..first;
+    let near = above.rev().take_while(|at| kept[*at].cells.len() + open_end >= usual);
+    let found: Vec<usize> = near.filter(|at| full(&kept[*at])).collect();
+    let exact = found.iter().rev().find(|at| kept[**at].width() <= usual && kept[**at].cells.len() <= usual);
+    exact.or(found.last()).copied().unwrap_or(first)
+}
+
 /// Finds the table in a text.
 ///
 /// # Errors
-/// Nothing looks like a table.
-pub(super) fn table(text: &str, wanted: Option<u8>) -> Result<Table<'_>, ExportError> {
-    let lines = first_lines(text);
-    let (delimiter, usual) = match wanted {
-        Some(delimiter) => (delimiter, regularity(&lines, delimiter).0),
-        None => delimiter_of(&lines)?,
-    };
+/// Nothing looks like a table, or its rows do not fit its names.
+pub(super) fn table<'t>(text: &'t str, options: &ReadOptions) -> Result<Table<'t>, ExportError> {
+    let (delimiter, rows, usual) = split(text, options.delimiter)?;
     let name = DELIMITERS
         .iter()
         .find(|(d, _)| *d == delimiter)
         .map_or_else(|| format!("{:?} between cells", char::from(delimiter)), |(_, name)| (*name).to_owned());
-    let mut words = vec![name];
-    let hint = lines.first().is_some_and(|l| l.text.starts_with("sep="));
-    let remark = |l: &Line<'_>| is_remark(l.text, Some(delimiter)) || (hint && l.number == 1);
-    let kept: Vec<(Line<'_>, Vec<String>)> = lines
+    let (remarks, kept): (Vec<Row>, Vec<Row>) = rows.into_iter().partition(|row| is_remark(&row.cells[0], delimiter));
+    let first = kept
         .iter()
-        .filter(|l| !l.text.trim().is_empty() && !remark(l))
-        .map(|l| (*l, cells(l.text, delimiter)))
-        .collect();
-    let remarks = lines.iter().filter(|l| remark(l) && !l.text.starts_with("sep=")).count();
-    let first = kept.iter().position(|(_, row)| row.len() + 1 >= usual && is_values(row)).ok_or_else(|| {
-        let line = kept.first().map_or(1, |(l, _)| l.number);
-        ExportError::at(
-            line,
-            format!("no row of values found (with {})", words[0]),
-            "export rows with a time and numbers",
-        )
-    })?;
-    // A header may lack what rows have at their end: a delimiter with nothing behind it.
-    let open_end = usize::from(kept[first].1.last().is_some_and(String::is_empty));
-    let full = |row: &[String]| row.len() + open_end >= usual;
-    let named = |row: &[String]| row.iter().filter(|c| !c.is_empty()).count() >= usual.min(2);
-    let mut head = first;
-    while head > 0 && first - head <= MOST_UNITS && full(&kept[head - 1].1) {
-        head -= 1;
-    }
-    // A title that fills its line with delimiters names no columns.
-    while head < first && !named(&kept[head].1) {
-        head += 1;
-    }
-    if let Some((line, above)) = first.checked_sub(1).map(|at| &kept[at]).filter(|_| head == first)
+        .position(|row| (usual.saturating_sub(1)..=usual).contains(&row.cells.len()) && is_values(&row.cells))
+        .ok_or_else(|| {
+            let line = kept.first().map_or(1, |row| row.line);
+            ExportError::at(
+                line,
+                format!("no row of values found (with {name})"),
+                "export rows with a time and numbers",
+            )
+        })?;
+    let head = head_of(&kept, first, usual);
+    if let Some(above) = first.checked_sub(1).map(|at| &kept[at]).filter(|_| head == first)
         && delimiter == b','
-        && is_time(&above[0])
+        && is_time(&above.cells[0])
     {
-        let (cells, names) = (kept[first].1.len(), above.len());
-        let text = format!("{cells} cells, but the header in line {} has {names}", line.number);
-        return Err(ExportError::at(kept[first].0.number, text, BETWEEN_COMMAS));
+        let (cells, names) = (kept[first].cells.len(), above.cells.len());
+        let text = format!("{cells} cells, but the header in line {} has {names}", above.line);
+        return Err(ExportError::at(kept[first].line, text, BETWEEN_COMMAS));
     }
-    let titles = head;
     let (names, line) =
-        if head < first { (kept[head].1.clone(), kept[head].0.number) } else { (Vec::new(), kept[first].0.number) };
-    for (count, one, many) in [(remarks, "1 comment line", "comment lines"), (titles, "1 title line", "title lines")] {
+        if head < first { (kept[head].cells.clone(), kept[head].line) } else { (Vec::new(), kept[first].line) };
+    let mut words = vec![name];
+    let remarks = remarks.iter().filter(|row| row.line < kept[first].line).count();
+    for (count, one) in [(remarks, "comment line"), (head, "title line")] {
         match count {
             0 => {}
-            1 => words.push(one.to_owned()),
-            n => words.push(format!("{n} {many}")),
+            1 => words.push(format!("1 {one}")),
+            n => words.push(format!("{n} {one}s")),
         }
     }
     let mut units = Vec::new();
     if names.is_empty() {
         words.push("no header".to_owned());
     } else if first > head + 1 {
-        words.push(format!("units in line {}", kept[head + 1].0.number));
-        units.clone_from(&kept[head + 1].1);
+        words.push(format!("units in line {}", kept[head + 1].line));
+        units.clone_from(&kept[head + 1].cells);
     }
-    let begin = kept[first].0;
-    let columns = if names.is_empty() { usual } else { names.len() };
-    let rows = TextRows { text: &text[begin.start..], before: begin.number - 1, delimiter, columns };
+    let begin = &kept[first];
+    let by_number = options.map.as_ref().is_some_and(super::Map::names_signals);
+    let named = if names.is_empty() || by_number { names.len().max(usual) } else { kept[head].width() };
+    let rows = TextRows {
+        text: &text[begin.start..],
+        before: begin.line - 1,
+        delimiter,
+        least: if names.is_empty() || by_number || kept[first..].iter().any(|row| row.cells.len() >= named) {
+            0
+        } else {
+            named
+        },
+        columns: named,
+        names: names.clone(),
+        line,
+    };
     if text[..text.len().min(1 << 16)].contains('"') {
         words.push("quotes".to_owned());
     }
-    Ok(Table { names, line, rows: Box::new(rows), units, words })
+    // Where commas separate cells, Excel and all others write the decimals behind a point.
+    let decimal = (delimiter == b',').then_some(Decimal::Point);
+    Ok(Table { names, line, rows: Box::new(rows), units, words, decimal, warnings: Vec::new() })
 }
 
 struct TextRows<'t> {
@@ -186,7 +200,13 @@ struct TextRows<'t> {
     /// Lines before the first row.
     before: u64,
     delimiter: u8,
+    /// Columns with a name.
     columns: usize,
+    /// Least cells of a row.
+    least: usize,
+    names: Vec<String>,
+    /// Line of the names.
+    line: u64,
 }
 
 impl Rows for TextRows<'_> {
@@ -195,19 +215,17 @@ impl Rows for TextRows<'_> {
         let mut row = ::csv::StringRecord::new();
         let read = |e: ::csv::Error| ExportError::at(0, e.to_string(), "repair the file");
         while reader.read_record(&mut row).map_err(read)? {
-            let line = self.before + row.position().map_or(0, ::csv::Position::line);
-            let first = row.get(0).unwrap_or_default();
-            if row.iter().all(str::is_empty)
-                || is_remark(first, Some(self.delimiter)) && Stamp::read(first).is_none() && !is_missing_word(first)
-            {
+            let (at, start) = row.position().map_or((0, 0), |p| (p.line(), p.byte() as usize));
+            let line = self.before + at;
+            let raw = &self.text[start..(reader.position().byte() as usize).min(self.text.len())];
+            if raw.contains('"') {
+                check_quotes(raw, self.delimiter, self.columns)
+                    .map_err(|what| ExportError::at(line, what, "correct the quotes in this line"))?;
+            }
+            if self.says_nothing(&row) {
                 continue;
             }
-            if row.len() > self.columns && row.iter().skip(self.columns).any(|cell| !cell.is_empty()) {
-                let text = format!("{} cells, but earlier lines have {}", row.len(), self.columns);
-                let remedy =
-                    if self.delimiter == b',' { BETWEEN_COMMAS } else { "remove the extra cells, or quote them" };
-                return Err(ExportError::at(line, text, remedy));
-            }
+            self.fits(&row, line)?;
             let cells: Vec<Cell<'_>> =
                 row.iter().map(|c| if c.is_empty() { Cell::Empty } else { Cell::Text(c) }).collect();
             if !take(line, &cells)? {
@@ -218,12 +236,77 @@ impl Rows for TextRows<'_> {
     }
 }
 
+impl TextRows<'_> {
+    /// Empty lines, remarks, rules of dashes, the names once more, and the count of rows that SQL clients write.
+    fn says_nothing(&self, row: &::csv::StringRecord) -> bool {
+        let first = row.get(0).unwrap_or_default();
+        let remark = || is_remark(first, self.delimiter) && Stamp::read(first).is_none() && !is_missing_word(first);
+        let again = || !self.names.is_empty() && row.iter().eq(self.names.iter().map(String::as_str));
+        let count = || {
+            let text = first.trim_start_matches('(').trim_end_matches(')').to_lowercase();
+            let (number, rest) = text.split_once(' ').unwrap_or_default();
+            first.starts_with('(') && number.bytes().all(|b| b.is_ascii_digit()) && rest.starts_with("row")
+        };
+        let filled = width(row.iter());
+        filled == 0 || remark() || again() || (filled == 1 && count())
+    }
+
+    /// Whether the cells fit the names.
+    fn fits(&self, row: &::csv::StringRecord, line: u64) -> Result<(), ExportError> {
+        let filled = width(row.iter());
+        let named = self.columns;
+        if filled > named {
+            let what = format!("{filled} cells, but the header in line {} names {named} columns", self.line);
+            let remedy = if self.delimiter == b',' { BETWEEN_COMMAS } else { "remove the extra cells, or quote them" };
+            return Err(ExportError::at(line, what, remedy));
+        }
+        if filled == 1 && named > 1 && row.len() == 1 && Stamp::read(&row[0]).is_none() && !is_missing_word(&row[0]) {
+            let seen: String = row[0].chars().take(40).collect();
+            return Err(ExportError::at(line, format!("{seen:?} is no row of the table"), "remove this line"));
+        }
+        if row.len() < self.least {
+            let what = format!("{} cells, but the header in line {} names {named} columns", row.len(), self.line);
+            let remedy = "quote names that contain the separator, or name the columns by number: --map t=1,op=2,pv=3";
+            return Err(ExportError::at(line, what, remedy));
+        }
+        Ok(())
+    }
+}
+
+/// Whether the quotes of a row are those of RFC 4180, and none has swallowed other rows.
+fn check_quotes(raw: &str, delimiter: u8, columns: usize) -> Result<(), &'static str> {
+    let bytes = raw.as_bytes();
+    let find = |from: usize, what: u8| bytes[from..].iter().position(|b| *b == what).map(|at| from + at);
+    let mut at = 0;
+    while at < bytes.len() {
+        if bytes[at] == b'"' {
+            loop {
+                at = find(at + 1, b'"').ok_or("a quote opens here and never closes")?;
+                if bytes.get(at + 1) != Some(&b'"') {
+                    break;
+                }
+                at += 1;
+            }
+            at += 1 + bytes[at + 1..].iter().take_while(|b| **b == b' ').count();
+            if bytes.get(at).is_some_and(|b| *b != delimiter && *b != b'\n') {
+                return Err("a quote in this line closes inside a cell");
+            }
+        }
+        at = find(at, delimiter).map_or(bytes.len(), |end| end + 1);
+    }
+    let inner = |line: &str| line.bytes().filter(|b| *b == delimiter).count() + 1 >= columns.max(2);
+    if raw.trim_end().lines().skip(1).any(inner) {
+        return Err("a quote that opens here has swallowed the next lines");
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn found(text: &str) -> (Vec<String>, Vec<String>, u64) {
-        let table = table(text, None).unwrap();
+        let table = table(text, &ReadOptions::default()).unwrap();
         let mut first = 0;
         table
             .rows
@@ -246,6 +329,57 @@ mod tests {
         assert!(names.is_empty() && words == ["tabs", "no header"], "{words:?}");
         let (names, words, _) = found("sep=;\nt;op;pv\n0;1,5;2,5\n1;1,5;2,5\n");
         assert_eq!((names.len(), words[0].as_str()), (3, "semicolons"));
-        assert!(table("just words\nand more\n", None).is_err_and(|e| e.to_string().contains("--delimiter")));
+        let none = table("just words\nand more\n", &ReadOptions::default());
+        assert!(none.is_err_and(|e| e.to_string().contains("--delimiter")));
+        // Campbell's TOA5 has a title of more cells than the table.
+        let (names, words, first) = found(
+            "\"TOA5\",\"s\",\"CR\",\"1\",\"2\",\"x\"\n\"TIMESTAMP\",\"A.OP\",\"A.PV\"\n\"TS\",\"%\",\"C\"\n\"\",\"Smp\",\"Smp\"\n\"2026-01-05 08:00:00\",1,2\n\"2026-01-05 08:00:01\",1,2\n",
+        );
+        assert_eq!((names[0].as_str(), first), ("TIMESTAMP", 5), "{words:?}");
+    }
+
+    fn rows(text: &str) -> Result<usize, String> {
+        let told = |e: ExportError| e.to_string();
+        let table = table(text, &ReadOptions::default()).map_err(told)?;
+        let mut count = 0;
+        table
+            .rows
+            .each(&mut |_, _| {
+                count += 1;
+                Ok(true)
+            })
+            .map_err(told)?;
+        Ok(count)
+    }
+
+    #[test]
+    fn rows_that_are_none_are_passed_over_and_rows_that_do_not_fit_are_refused() {
+        let body = |k: usize| format!("2026-01-05T08:00:{k:02}Z,{k},2\n");
+        let five: String = (0..5).map(body).collect();
+        for (text, count) in [
+            (format!("Time,A.OP,A.PV\n{five}Time,A.OP,A.PV\n{five}"), 10),
+            (format!("Time,A.OP,A.PV\n----,----,----\n{five}\n(5 rows affected)\n"), 5),
+            (format!("Time,A.OP,A.PV,\n{five}"), 5),
+            (format!("Time,A.OP,A.PV,note\n{}", five.replace(",2\n", ",2,\"two\nlines\"\n")), 5),
+        ] {
+            assert_eq!(rows(&text), Ok(count), "{text}");
+        }
+        for (text, part) in [
+            (format!("Time,A.OP,A.PV\n{five}end of report\n"), "line 7: \"end of report\" is no row"),
+            (format!("Time,Area 4, A.OP,Area 4, A.PV\n{five}"), "line 2: 3 cells"),
+            (format!("Time,A.OP,A.PV,,\n{}", five.replace(",2\n", ",5,2,5\n")), "line 2: 5 cells"),
+            (
+                format!("Time,A.OP,A.PV\n{five}").replace("02Z,2", "02Z,\"2"),
+                "line 4: a quote opens here and never closes",
+            ),
+            (
+                format!("Time,A.OP,A.PV\n{five}").replace("01Z,1,2", "01Z,\"1,2").replace("03Z,3,2", "03Z,3,2\""),
+                "line 3: a quote that opens here has swallowed",
+            ),
+            (format!("Time,A.OP,A.PV\n{five}").replace("02Z,2", "02Z,\"2\"5"), "line 4: a quote in this line"),
+        ] {
+            let told = rows(&text).unwrap_err();
+            assert!(told.contains(part), "{text}: {told}");
+        }
     }
 }

@@ -4,14 +4,13 @@ use std::collections::{BTreeMap, HashMap};
 
 use super::cell::{Cell, Table};
 use super::clock::{Axis, TimeFormat, TimeOptions, by_pattern};
-use super::columns::{Layout, Shape, TimeColumn};
+use super::columns::{Layout, Shape, TimeColumn, ValueColumn};
 use super::map::Map;
-use super::names::{Role, is_value, plain, role};
+use super::names::{Role, is_value, role};
 use super::quality::{Codes, Mark, convention};
 use super::stamp::{Number, Stamp};
-use super::zone::Zone;
 use super::{Contents, ExportError, ReadOptions};
-use crate::number::{Decimal, Hint, hint, is_missing_word, number};
+use crate::number::{Decimal, Hint, hint, is_missing_word, number, sentinel, with_unit};
 use stiction::core::record::{Mode, Signal, Value};
 
 /// Rows after which the search for the decimal separator stops, whether found or not.
@@ -19,7 +18,7 @@ const ENOUGH_ROWS: u64 = 20_000;
 /// Most words for missing values listed.
 const MOST_WORDS: usize = 6;
 
-/// The values of one tag in time order.
+/// The values of one tag.
 #[derive(Debug, Clone)]
 pub(super) struct Series {
     /// The tag.
@@ -28,8 +27,23 @@ pub(super) struct Series {
     pub role: Role,
     /// Its unit, if the file gives it.
     pub unit: Option<String>,
-    /// Times, values, and whether the cell was empty.
-    pub samples: Vec<(i64, Value, bool)>,
+    /// Name of the column of its quality.
+    pub quality: Option<String>,
+    /// The samples in the order of the rows.
+    pub samples: Vec<Taken>,
+}
+
+/// One cell of a series.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Taken {
+    /// Time, ns since 1970.
+    pub t_ns: i64,
+    /// The value; missing where its quality is bad.
+    pub value: Value,
+    /// Whether the cell was empty.
+    pub empty: bool,
+    /// Whether its quality is bad.
+    pub bad: bool,
 }
 
 /// A series under construction.
@@ -37,19 +51,16 @@ struct Open {
     tag: String,
     role: Role,
     unit: Option<String>,
+    quality: Option<String>,
     axis: usize,
     rows: Vec<u32>,
     values: Vec<(Value, bool)>,
     marks: Vec<Mark>,
-    texts: Texts,
-}
-
-/// Cells of a series that are not numbers.
-#[derive(Default)]
-struct Texts {
     numbers: u64,
-    unknown: u64,
-    first_unknown: Option<(u64, String)>,
+    /// The first text that counts as missing, with its line.
+    first_text: Option<(u64, String)>,
+    /// The unit behind its numbers.
+    unit_in_cells: Option<String>,
 }
 
 /// The role of a tag, from its name or from --map.
@@ -99,6 +110,8 @@ struct Gatherer<'o> {
     codes: BTreeMap<i64, u64>,
     first_code: u64,
     marked_bad: u64,
+    /// The name of the columns' quality, for messages.
+    quality: String,
 }
 
 /// Reads every row of a table.
@@ -112,10 +125,13 @@ pub(super) fn gather(
     options: &ReadOptions,
     end_s: i64,
 ) -> Result<Contents, ExportError> {
-    let decimal = decimal_of(table, layout, options.decimal)?;
+    let decimal = decimal_of(table, layout, stem, options)?;
     let axes = layout.times.iter().map(|t| Axis {
         name: t.name.clone(),
-        from_anywhere: t.from_anywhere.clone(),
+        unit: t.unit.clone(),
+        is_t: t.is_t,
+        named_zone: t.zone.clone(),
+        letters: t.letters,
         ..Axis::default()
     });
     let mut all = Gatherer {
@@ -130,6 +146,7 @@ pub(super) fn gather(
         codes: BTreeMap::new(),
         first_code: 0,
         marked_bad: 0,
+        quality: "quality".to_owned(),
     };
     match &layout.shape {
         Shape::Wide(_) => all.take_wide(table, layout, stem)?,
@@ -138,22 +155,32 @@ pub(super) fn gather(
     all.close(table, layout, end_s)
 }
 
-/// Decimal separator, from the value columns.
-fn decimal_of(table: &Table<'_>, layout: &Layout, asked: Option<Decimal>) -> Result<Decimal, ExportError> {
-    if let Some(decimal) = asked {
+/// Columns of values that belong to signals.
+fn wanted<'l>(columns: &'l [ValueColumn], stem: &str, map: Option<&Map>) -> Vec<(&'l ValueColumn, String)> {
+    let tagged = columns.iter().map(|column| (column, tag_of(&column.tag, columns.len() == 1, stem, map)));
+    tagged.filter(|(_, tag)| role_of(tag, map).is_some()).collect()
+}
+
+/// Decimal separator: that of the format, else what the numbers show.
+///
+/// Where each number has three figures behind its only separator, these are decimals in a comma-separated file, and in a
+/// file without a whole number (a fixed count of decimals); else nothing shows it.
+fn decimal_of(table: &Table<'_>, layout: &Layout, stem: &str, options: &ReadOptions) -> Result<Decimal, ExportError> {
+    if let Some(decimal) = options.decimal {
         return Ok(decimal);
     }
     let columns: Vec<usize> = match &layout.shape {
-        Shape::Wide(columns) => columns.iter().map(|c| c.at).collect(),
+        Shape::Wide(columns) => wanted(columns, stem, options.map.as_ref()).iter().map(|(c, _)| c.at).collect(),
         Shape::Long { value, .. } => vec![*value],
     };
-    let (mut sure, mut either) = ([0_u64; 2], [0_u64; 2]);
+    let (mut sure, mut either, mut whole) = ([0_u64; 2], [0_u64; 2], false);
     let place = |kind: Decimal| usize::from(kind == Decimal::Comma);
     let mut rows = 0;
     table.rows.each(&mut |line, cells| {
         rows += 1;
         for column in &columns {
             let Some(Cell::Text(text)) = cells.get(*column) else { continue };
+            let text = with_unit(text).0;
             let first = |seen: &mut u64| {
                 if *seen == 0 {
                     *seen = line;
@@ -162,34 +189,62 @@ fn decimal_of(table: &Table<'_>, layout: &Layout, asked: Option<Decimal>) -> Res
             match hint(text) {
                 Hint::Sure(kind) => first(&mut sure[place(kind)]),
                 Hint::Either(kind) => first(&mut either[place(kind)]),
-                Hint::None => {}
+                Hint::None => whole |= text.bytes().all(|b| b.is_ascii_digit()),
             }
         }
         Ok(rows < ENOUGH_ROWS || (sure == [0, 0] && either != [0, 0]))
     })?;
+    let ask = |line, separator: &str| {
+        let what = format!("every number with a {separator} has three figures behind it: decimals or thousands");
+        let mark = if separator == "comma" { ',' } else { '.' };
+        let other = if separator == "comma" { "point" } else { "comma" };
+        let remedy =
+            format!("use --decimal {separator} (1{mark}234 is 1.234) or --decimal {other} (1{mark}234 is 1234)");
+        Err(ExportError::at(line, what, remedy))
+    };
     match (sure, either) {
+        ([0, 0], [0, 0]) => Ok(Decimal::Point),
+        ([0, 0], [point, 0]) if whole && table.decimal.is_none() => ask(point, "point"),
         ([0, 0], [_, 0]) => Ok(Decimal::Point),
-        ([0, 0], [_, comma]) => {
-            let text = "every number with a comma has three digits after it, which may be decimals or thousands";
-            Err(ExportError::at(comma, text, "use --decimal comma (1,234 is 1.234) or --decimal point (1,234 is 1234)"))
-        }
+        ([0, 0], [_, comma]) => ask(comma, "comma"),
         ([point, comma], _) if point > 0 && comma > 0 => {
             let text = format!("line {point} has a decimal point, line {comma} a decimal comma");
-            Err(ExportError::at(
-                point.max(comma),
-                text,
-                "choose one with --decimal point or --decimal comma; the other numbers then count as missing",
-            ))
+            let remedy = "choose one with --decimal point or --decimal comma, and correct the other numbers";
+            Err(ExportError::at(point.max(comma), text, remedy))
         }
         ([_, comma], _) => Ok(if comma > 0 { Decimal::Comma } else { Decimal::Point }),
     }
+}
+
+/// A text that is neither a number nor a word for none.
+fn unreadable(tag: &str, text: &str, decimal: Decimal, line: u64) -> ExportError {
+    let shown: String = text.chars().take(40).collect();
+    let other = if decimal == Decimal::Point { Decimal::Comma } else { Decimal::Point };
+    let (figures, _) = with_unit(text);
+    let what = format!("{tag:?} contains {shown:?}, which is not a number");
+    let remedy = match number(figures, other) {
+        Some(_) if other == Decimal::Comma => "use --decimal comma".to_owned(),
+        Some(_) => "use --decimal point".to_owned(),
+        None if text.starts_with(|c: char| c.is_ascii_digit()) => "export the number alone, without a unit".to_owned(),
+        None => format!("if it stands for a missing value, use --missing {shown:?}"),
+    };
+    ExportError::at(line, what, remedy)
 }
 
 impl Gatherer<'_> {
     fn stamp(&self, line: u64, cells: &[Cell<'_>], time: &TimeColumn) -> Result<Option<Stamp>, ExportError> {
         let cell = |at: usize| cells.get(at).copied().unwrap_or(Cell::Empty);
         let unreadable = || {
-            let text = format!("{:?} contains {:?}, which is not a time", time.name, cell(time.at).shown());
+            let seen = cell(time.at).shown();
+            if seen.contains(":60") {
+                let text =
+                    format!("{:?} contains {seen:?}, a leap second, which times since 1970 do not have", time.name);
+                return ExportError::at(line, text, "remove this line");
+            }
+            let text = format!("{:?} contains {seen:?}, which is not a time", time.name);
+            if self.axes.iter().any(|axis| !axis.stamps.is_empty()) {
+                return ExportError::at(line, text + " as those above are", "remove or correct this line");
+            }
             let remedy = "give the form with --time-format, such as \"%d/%m/%Y %H:%M:%S\", or another column with --map t=COLUMN";
             ExportError::at(line, text, remedy)
         };
@@ -221,17 +276,18 @@ impl Gatherer<'_> {
         }
         let at = role_of(tag, self.options.map.as_ref()).map(|role| {
             let tag = tag.to_owned();
-            let texts = Texts::default();
-            let unit = None;
             self.open.push(Open {
                 tag,
                 role,
-                unit,
+                unit: None,
+                quality: None,
                 axis,
                 rows: Vec::new(),
                 values: Vec::new(),
                 marks: Vec::new(),
-                texts,
+                numbers: 0,
+                first_text: None,
+                unit_in_cells: None,
             });
             self.open.len() - 1
         });
@@ -244,16 +300,20 @@ impl Gatherer<'_> {
 
     fn take_wide(&mut self, table: &Table<'_>, layout: &Layout, stem: &str) -> Result<(), ExportError> {
         let Shape::Wide(columns) = &layout.shape else { return Ok(()) };
-        let mut wanted: Vec<(usize, usize, Option<usize>, usize)> = Vec::new();
+        let mut wanted: Vec<(&ValueColumn, usize)> = Vec::new();
         for column in columns {
             let tag = tag_of(&column.tag, columns.len() == 1, stem, self.options.map.as_ref());
-            if self.by_tag.get(&tag).is_some_and(Option::is_some) {
+            if self.open.iter().any(|open| open.tag.eq_ignore_ascii_case(&tag)) {
                 let text = format!("the header names {tag:?} twice");
                 return Err(ExportError::at(table.line, text, "name the columns by number: --map op=2,pv=3"));
             }
             if let Some(series) = self.series(&tag, column.time) {
                 self.open[series].unit = table.unit_of(column.at);
-                wanted.push((column.at, column.time, column.quality, series));
+                if let Some(at) = column.quality {
+                    self.quality = table.names.get(at).cloned().unwrap_or_default();
+                    self.open[series].quality = Some(self.quality.clone());
+                }
+                wanted.push((column, series));
             }
         }
         table.rows.each(&mut |line, cells| {
@@ -262,12 +322,16 @@ impl Gatherer<'_> {
                 let stamp = self.stamp(line, cells, time)?;
                 rows.push(stamp.map(|stamp| self.axes[axis].push(stamp, line)));
             }
-            for (at, axis, quality, series) in &wanted {
-                let cell = cells.get(*at).copied().unwrap_or(Cell::Empty);
-                match rows[*axis] {
+            let cell_at = |at: usize| cells.get(at).copied().unwrap_or(Cell::Empty);
+            for (column, series) in &wanted {
+                let cell = cell_at(column.at);
+                if let Some(Cell::Text(unit)) = column.unit.map(cell_at) {
+                    self.open[*series].unit.get_or_insert_with(|| unit.to_owned());
+                }
+                match rows[column.time] {
                     Some(row) => {
-                        let mark = quality.map(|q| cells.get(q).copied().unwrap_or(Cell::Empty));
-                        self.take(*series, row, line, cell, mark);
+                        let mark = column.quality.map(cell_at);
+                        self.take(*series, row, line, cell, mark)?;
                     }
                     None if cell == Cell::Empty => {}
                     None => {
@@ -282,6 +346,10 @@ impl Gatherer<'_> {
 
     fn take_long(&mut self, table: &Table<'_>, layout: &Layout) -> Result<(), ExportError> {
         let Shape::Long { tag, value, quality } = layout.shape else { return Ok(()) };
+        let quality = quality.filter(|_| self.options.codes != Some(Codes::Ignore));
+        if let Some(name) = quality.and_then(|at| table.names.get(at)) {
+            self.quality.clone_from(name);
+        }
         table.rows.each(&mut |line, cells| {
             let cell = |at: usize| cells.get(at).copied().unwrap_or(Cell::Empty);
             let shown;
@@ -298,23 +366,38 @@ impl Gatherer<'_> {
                 return Err(ExportError::at(line, "a row without a time", "add the time of every row"));
             };
             let row = self.axes[0].push(stamp, line);
-            self.take(series, row, line, cell(value), quality.map(cell));
+            self.take(series, row, line, cell(value), quality.map(cell))?;
             Ok(true)
         })
     }
 
-    fn take(&mut self, at: usize, row: u32, line: u64, cell: Cell<'_>, mark: Option<Cell<'_>>) {
-        let value = self.value(at, line, cell);
+    fn take(
+        &mut self,
+        at: usize,
+        row: u32,
+        line: u64,
+        cell: Cell<'_>,
+        mark: Option<Cell<'_>>,
+    ) -> Result<(), ExportError> {
+        let mark = mark.map(|mark| match mark {
+            Cell::Text(text) => Mark::read(text).ok_or_else(|| {
+                let what = format!("{:?} contains {text:?}, which is no known word for a quality", self.quality);
+                ExportError::at(line, what, "if the column is no quality, use --quality ignore")
+            }),
+            Cell::Integer(code) => Ok(Mark::Code(code)),
+            Cell::Number(code) => Ok(Mark::Code(code as i64)),
+            _ => Ok(Mark::None),
+        });
+        let mark = mark.transpose()?;
+        // Whatever stands beside a bad quality, it is no value.
+        let value = match mark {
+            Some(Mark::Bad) => Value::Missing,
+            _ => self.value(at, line, cell)?,
+        };
         let open = &mut self.open[at];
         open.rows.push(row);
         open.values.push((value, cell == Cell::Empty));
         if let Some(mark) = mark {
-            let mark = match mark {
-                Cell::Text(text) => Mark::read(text),
-                Cell::Integer(code) => Mark::Code(code),
-                Cell::Number(code) => Mark::Code(code as i64),
-                _ => Mark::None,
-            };
             if let Mark::Code(code) = mark {
                 *self.codes.entry(code).or_default() += 1;
                 if self.first_code == 0 {
@@ -323,55 +406,89 @@ impl Gatherer<'_> {
             }
             open.marks.push(mark);
         }
+        Ok(())
     }
 
-    fn value(&mut self, at: usize, line: u64, cell: Cell<'_>) -> Value {
+    fn value(&mut self, at: usize, line: u64, cell: Cell<'_>) -> Result<Value, ExportError> {
         let open = &mut self.open[at];
         let text = match cell {
-            Cell::Empty => return Value::Missing,
-            Cell::Number(v) => return Value::number(v),
-            Cell::Integer(v) => return Value::number(v as f64),
+            Cell::Empty => return Ok(Value::Missing),
+            Cell::Number(v) => {
+                open.numbers += 1;
+                return Ok(self.counted(Value::number(v)));
+            }
+            Cell::Integer(v) => {
+                open.numbers += 1;
+                return Ok(self.counted(Value::number(v as f64)));
+            }
             Cell::Local(_) | Cell::Instant(_) => "a time",
             Cell::Text(text) => text,
         };
-        if let Some(v) = number(text, self.decimal) {
-            open.texts.numbers += 1;
-            return Value::Number(v);
-        }
-        if open.role.signal == Signal::Mode && !is_missing_word(text) {
-            return Value::Mode(Mode::from_word(text));
-        }
-        if is_missing_word(text) {
-            self.missing_words += 1;
-            if self.words.len() < 100 || self.words.contains_key(text) {
-                *self.words.entry(text.chars().take(40).collect()).or_default() += 1;
+        let is_missing = |text: &str| is_missing_word(text) || self.options.missing.iter().any(|word| word == text);
+        let (figures, unit) = with_unit(text);
+        if let Some(v) = number(figures, self.decimal).filter(|_| !is_missing(text)) {
+            open.numbers += 1;
+            if let Some(unit) = unit.filter(|unit| open.unit_in_cells.get_or_insert_with(|| (*unit).to_owned()) != unit)
+            {
+                let what =
+                    format!("{:?} contains {text:?}, but earlier lines have another unit than {unit:?}", open.tag);
+                return Err(ExportError::at(line, what, "export one unit for each column"));
             }
-        } else {
-            open.texts.unknown += 1;
-            open.texts.first_unknown.get_or_insert_with(|| (line, text.chars().take(40).collect()));
+            return Ok(self.counted(Value::Number(v)));
         }
-        Value::Missing
+        if !is_missing(text) {
+            if open.role.signal == Signal::Mode {
+                return Ok(Value::Mode(Mode::from_word(text)));
+            }
+            return Err(unreadable(&open.tag, text, self.decimal, line));
+        }
+        open.first_text.get_or_insert_with(|| (line, text.chars().take(40).collect()));
+        self.missing_words += 1;
+        if self.words.len() < 100 || self.words.contains_key(text) {
+            *self.words.entry(text.chars().take(40).collect()).or_default() += 1;
+        }
+        Ok(Value::Missing)
+    }
+
+    /// A number, or what --missing says of it.
+    fn counted(&mut self, value: Value) -> Value {
+        let missing = |v: f64| self.options.missing.iter().any(|word| word.parse::<f64>().is_ok_and(|m| m == v));
+        match value {
+            Value::Number(v) if missing(v) => {
+                self.missing_words += 1;
+                *self.words.entry(v.to_string()).or_default() += 1;
+                Value::Missing
+            }
+            other => other,
+        }
+    }
+
+    /// A column of a signal has numbers, and none that loggers write for missing ones.
+    fn check_values(&self) -> Result<(), ExportError> {
+        for open in self.open.iter().filter(|open| open.role.signal != Signal::Mode) {
+            let needed = matches!(open.role.signal, Signal::Op | Signal::Pv);
+            if let (true, Some((line, text)), 0) = (needed, &open.first_text, open.numbers) {
+                let what = format!("{:?} contains {text:?}, and no number in any row", open.tag);
+                return Err(ExportError::at(*line, what, "name another column or tag: --map op=TAG,pv=TAG"));
+            }
+            let values = open.values.iter().filter_map(|(value, _)| value.as_number());
+            if let Some(found) = sentinel(values).filter(|_| self.options.missing.is_empty()) {
+                let at = open.values.iter().position(|(value, _)| *value == Value::Number(found)).unwrap_or(0);
+                let line = self.axes[open.axis].lines.get(open.rows[at] as usize).copied().unwrap_or(0);
+                let what = format!(
+                    "{:?} contains {found}, far from its other values, as loggers write where none is",
+                    open.tag
+                );
+                let remedy = format!("use --missing={found}, or --missing=none if it is a value");
+                return Err(ExportError::at(line, what, remedy));
+            }
+        }
+        Ok(())
     }
 
     fn close(mut self, table: &Table<'_>, layout: &Layout, end_s: i64) -> Result<Contents, ExportError> {
-        let mut warnings = Vec::new();
-        for open in &self.open {
-            if let Some((line, text)) = &open.texts.first_unknown {
-                let (unknown, numbers, tag) = (open.texts.unknown, open.texts.numbers, &open.tag);
-                if unknown > numbers {
-                    let what = format!(
-                        "{tag:?} contains {text:?}, and more such cells than numbers ({unknown} against {numbers})"
-                    );
-                    let remedy =
-                        "give the decimal separator with --decimal, or another column with --map op=TAG,pv=TAG";
-                    return Err(ExportError::at(*line, what, remedy));
-                }
-                warnings.push(format!(
-                    "{tag}: {unknown} cells without a number count as missing, first {text:?} in line {line}"
-                ));
-            }
-        }
-        self.judge_marks(layout, table)?;
+        self.judge_marks()?;
+        self.check_values()?;
         let mut words = table.words.clone();
         if self.decimal == Decimal::Comma {
             words.push("decimal comma".to_owned());
@@ -386,33 +503,40 @@ impl Gatherer<'_> {
         words.push(shape.to_owned());
         let series = self.open.into_iter().map(|open| {
             let stamps = &t_ns[open.axis];
-            let samples =
-                open.rows.iter().zip(open.values).map(|(row, (value, empty))| (stamps[*row as usize], value, empty));
-            let mut samples: Vec<(i64, Value, bool)> = samples.collect();
-            samples.sort_by_key(|(t, _, _)| *t);
-            Series { tag: open.tag, role: open.role, unit: open.unit, samples }
+            let rows = open.rows.iter().zip(open.values).enumerate();
+            let taken = rows.map(|(at, (row, (value, empty)))| {
+                let bad = open.marks.get(at).is_some_and(|mark| *mark == Mark::Bad);
+                Taken { t_ns: stamps[*row as usize], value, empty, bad }
+            });
+            let samples = taken.collect();
+            let unit = open.unit.or(open.unit_in_cells);
+            Series { tag: open.tag, role: open.role, unit, quality: open.quality, samples }
         });
-        Ok(Contents { series: series.collect(), words, counts, warnings, ignored: self.ignored })
+        let own = super::is_own(&table.names) && !self.options.overrules();
+        Ok(Contents {
+            series: series.collect(),
+            words,
+            counts,
+            warnings: table.warnings.clone(),
+            ignored: self.ignored,
+            own,
+        })
     }
 
-    /// Makes values of bad quality missing.
-    fn judge_marks(&mut self, layout: &Layout, table: &Table<'_>) -> Result<(), ExportError> {
-        let name = match &layout.shape {
-            Shape::Long { quality: Some(at), .. } => {
-                table.names.get(*at).map_or_else(|| "quality".to_owned(), |n| plain(n))
-            }
-            _ => "status".to_owned(),
-        };
+    /// Makes values of bad quality missing; their marks become words.
+    fn judge_marks(&mut self) -> Result<(), ExportError> {
         let codes = if self.codes.is_empty() {
             self.options.codes.unwrap_or(Codes::Ua)
         } else {
-            convention(&self.codes, &name, self.first_code, self.options.codes)?
+            convention(&self.codes, &self.quality, self.first_code, self.options.codes)?
         };
         for open in &mut self.open {
-            for (mark, (value, _)) in open.marks.iter().zip(&mut open.values) {
-                if mark.is_bad(codes) && *value != Value::Missing {
-                    *value = Value::Missing;
-                    self.marked_bad += 1;
+            for (mark, (value, empty)) in open.marks.iter_mut().zip(&mut open.values) {
+                let bad = mark.is_bad(codes);
+                *mark = if bad { Mark::Bad } else { Mark::Good };
+                if bad {
+                    self.marked_bad += u64::from(!*empty);
+                    (*value, *empty) = (Value::Missing, false);
                 }
             }
         }
@@ -436,14 +560,13 @@ impl Gatherer<'_> {
 
     /// Instants of every time axis.
     fn times(&self, layout: &Layout, end_s: i64, words: &mut Vec<String>) -> Result<Vec<Vec<i64>>, ExportError> {
-        let utc = Zone::parse("UTC").ok();
         let mut all = Vec::with_capacity(self.axes.len());
-        for (at, (axis, column)) in self.axes.iter().zip(&layout.times).enumerate() {
+        for (at, axis) in self.axes.iter().enumerate() {
             let groups: Vec<Vec<u32>> = match &layout.shape {
                 Shape::Wide(_) => vec![(0..axis.stamps.len() as u32).collect()],
                 Shape::Long { .. } => self.open.iter().map(|o| o.rows.clone()).collect(),
             };
-            let zone = self.options.zone.as_ref().or_else(|| utc.as_ref().filter(|_| column.is_utc));
+            let zone = self.options.zone.as_ref();
             let asked = TimeOptions { form: self.options.time_format.as_ref(), zone, end_s };
             let times = axis.times(&groups, asked)?;
             if at == 0 {

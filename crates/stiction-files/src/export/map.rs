@@ -57,6 +57,10 @@ impl Map {
                 },
             }
         }
+        let signals: Vec<&(Part, String)> = parts.iter().filter(|(p, _)| matches!(p, Part::Signal(_))).collect();
+        if let Some((_, twice)) = signals.iter().enumerate().find(|(at, s)| signals[..*at].iter().any(|o| o.1 == s.1)) {
+            return Err(format!("{:?} cannot be two signals; {known}", twice.1));
+        }
         Ok(Self { parts })
     }
 
@@ -112,7 +116,7 @@ mod tests {
         assert_eq!(map.of(Part::Signal(Signal::Op)), Some("Valve, main"));
         assert_eq!((map.signal_of("41fi101 (m3/h)"), map.signal_of("t")), (Some(Signal::Pv), None));
         assert_eq!(map.to_string(), "op=Valve, main,pv=41FI101,t=1");
-        for text in ["", "x", "op=", "op=1,op=2"] {
+        for text in ["", "x", "op=", "op=1,op=2", "op=2,pv=2"] {
             assert!(Map::parse(text).unwrap_err().contains("op=TAG"), "{text}");
         }
     }

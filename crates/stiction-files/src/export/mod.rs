@@ -42,10 +42,11 @@ use std::time::SystemTime;
 
 use thiserror::Error;
 
-use super::{InputKind, LoadedLoop, csv};
+use super::{InputKind, LoadedLoop};
 use cell::Table;
 use gather::Series;
 use stiction::core::units::parse_time;
+pub(crate) use text::wide;
 
 /// What cannot be read, where, and what settles it.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -76,6 +77,8 @@ pub struct Recognised {
     pub form: String,
     /// Counts for this file, such as words for missing values.
     pub counts: Vec<String>,
+    /// What each column or tag is read as.
+    pub columns: Vec<String>,
 }
 
 impl std::fmt::Display for Recognised {
@@ -125,6 +128,8 @@ pub(super) struct Contents {
     warnings: Vec<String>,
     /// Names of unrecognised columns.
     ignored: Vec<String>,
+    /// Whether it is a table of the program's own form.
+    own: bool,
 }
 
 fn end_s() -> i64 {
@@ -132,60 +137,21 @@ fn end_s() -> i64 {
     clock::end_of_next_year(i64::try_from(now).unwrap_or(0))
 }
 
-/// Whether the bytes begin as UTF-16 text without a mark.
-pub(super) fn is_utf16(head: &[u8]) -> bool {
-    let pairs = head.chunks_exact(2).count();
-    let plain = |at: usize| {
-        head.chunks_exact(2)
-            .filter(|p| p[1 - at] == 0 && (p[at].is_ascii_graphic() || p[at].is_ascii_whitespace()))
-            .count()
-    };
-    pairs >= 4 && (plain(0).max(plain(1))) * 10 >= pairs * 8
-}
-
-/// Whether this is the program's own table: header `t,op,pv…` and a first row with a time in its own format.
-fn is_own(bytes: &[u8]) -> bool {
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(1 << 14)]);
-    let mut lines = head.lines().filter(|l| !l.trim().is_empty());
-    let Some(header) = lines.next() else { return false };
-    let cell = |text: &str| text.trim().trim_matches('"').trim().to_lowercase();
-    let names: Vec<String> = header.split(',').map(cell).collect();
-    let Some(time) = names.iter().position(|n| n == "t") else { return false };
-    // Without OP or PV it is a table of another kind only where it has other columns.
-    let has = |wanted: &str| names.iter().any(|n| n == wanted);
-    let first = lines.next().map(|row| row.split(',').nth(time).map(cell).unwrap_or_default());
-    has("op") && has("pv") && first.is_none_or(|t| parse_time(&t).is_ok())
-}
-
-/// Reads a table in the program's own format; doubts implausible times.
-fn read_own(bytes: &[u8], name: &str) -> Result<Export, super::FileFault> {
-    let table = csv::read_from(bytes)?;
-    let mut t_ns: Vec<i64> = table.samples.iter().map(|s| s.t_ns).collect();
-    t_ns.dedup();
-    clock::doubt_about_seconds(&t_ns, end_s()).map_err(|(what, remedy)| ExportError::at(2, what, remedy))?;
-    Ok(Export { loops: vec![LoadedLoop::new(name, table.samples)], recognised: None, warnings: table.warnings })
+/// Whether the names are those of the program's own tables.
+fn is_own(names: &[String]) -> bool {
+    let has = |wanted: &str| names.iter().any(|n| names::bare(n).eq_ignore_ascii_case(wanted));
+    ["t", "op", "pv"].iter().all(|name| has(name))
 }
 
 /// Reads an export completely.
 ///
 /// # Errors
 /// What cannot be recognised, with its line and the option that settles it.
-pub(super) fn read(
-    kind: InputKind,
-    path: &Path,
-    bytes: &[u8],
-    options: &ReadOptions,
-) -> Result<Export, super::FileFault> {
-    let stem = stem_of(path);
-    if kind == InputKind::Csv && !options.overrules() && is_own(bytes) {
-        return read_own(bytes, &stiction::core::units::loop_name_from(&stem));
-    }
-    let contents = contents(kind, path, bytes, options)?;
-    Ok(pair::loops(vec![(stem, contents)], options)?)
+pub(super) fn read(kind: InputKind, path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Export, ExportError> {
+    pair::loops(vec![(stem_of(path), contents(kind, path, bytes, options)?)], options)
 }
 
-/// Reads single-signal files that together form loops.
+/// Reads files that together form loops: a signal each, or the same signals one after the other.
 ///
 /// # Errors
 /// As [`read`].
@@ -198,21 +164,27 @@ pub(super) fn stem_of(path: &Path) -> String {
     path.file_stem().map_or_else(|| "loop".into(), |stem| stem.to_string_lossy().into_owned())
 }
 
-/// The loop (in capitals) and signal of a single-signal file; `None` for other files.
+/// What files have in common that are read together: the loop of a single signal, or all tags of several; `None` for other
+/// files.
 ///
 /// Only the first rows are examined.
-pub(super) fn only_signal(kind: InputKind, path: &Path, bytes: &[u8], options: &ReadOptions) -> Option<String> {
-    if kind == InputKind::Csv && is_own(bytes) {
+pub(super) fn together(kind: InputKind, path: &Path, bytes: &[u8], options: &ReadOptions) -> Option<String> {
+    if kind != InputKind::Csv {
         return None;
     }
-    let decoded = text::decode(bytes, options.encoding);
-    let table = match kind {
-        InputKind::Csv => delimited::table(&decoded.text, options.delimiter).ok()?,
-        _ => return None,
-    };
+    let decoded = text::decode(bytes, options.encoding).ok()?;
+    let table = delimited::table(&decoded.text, options).ok()?;
     let map = options.map.as_ref();
-    let layout = columns::layout(&table, map.filter(|m| !m.names_signals())).ok()?;
-    gather::only_role(&layout, &stem_of(path), map).map(|role| role.loop_name.to_uppercase())
+    let layout = columns::layout(&table, map.filter(|m| !m.names_signals()), false).ok()?;
+    if let Some(role) = gather::only_role(&layout, &stem_of(path), map) {
+        return Some(role.loop_name.to_uppercase());
+    }
+    let columns::Shape::Wide(columns) = &layout.shape else { return None };
+    let roles = columns.iter().filter_map(|column| names::role(&column.tag));
+    let mut tags: Vec<String> = roles.map(|role| format!("{}.{}", role.loop_name, role.signal.name())).collect();
+    tags.sort();
+    // Without a tag a loop has the name of its file.
+    (map.is_none() && !tags.is_empty() && !tags.iter().any(|tag| tag.starts_with('.'))).then(|| tags.join(" "))
 }
 
 /// Series of a file.
@@ -247,9 +219,10 @@ pub(super) fn contents(
             "rebuild with --features full, or export .csv",
         )),
         _ => {
-            let decoded = text::decode(bytes, options.encoding);
-            let mut table = delimited::table(&decoded.text, options.delimiter)?;
+            let decoded = text::decode(bytes, options.encoding)?;
+            let mut table = delimited::table(&decoded.text, options)?;
             table.words.splice(0..0, decoded.encoding);
+            table.warnings.extend(decoded.warning);
             contents_of(&table, &stem, options)
         }
     }
@@ -263,6 +236,6 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, ExportError>) -> Result<T, Export
 }
 
 fn contents_of(table: &Table<'_>, stem: &str, options: &ReadOptions) -> Result<Contents, ExportError> {
-    let layout = columns::layout(table, options.map.as_ref())?;
+    let layout = columns::layout(table, options.map.as_ref(), options.codes != Some(Codes::Ignore))?;
     gather::gather(table, &layout, stem, options, end_s())
 }

@@ -1,7 +1,8 @@
 //! Tag names: the loop and signal of a column or tag.
 
+use crate::number::is_one_of;
 use stiction::core::record::Signal;
-use stiction::core::units::loop_name_from;
+use stiction::core::units::{NS_PER_S, loop_name_from};
 
 /// Endings of tags, the strongest of each signal first.
 const ENDS: [(&str, Signal); 48] = [
@@ -61,10 +62,10 @@ const ENDS: [(&str, Signal); 48] = [
 const SEPARATORS: &str = "._/|:-\\ ";
 
 /// Endings for a value without its role: DeltaV's `.CV`, attributes of other systems.
-const VALUES: [&str; 6] = ["CV", "F_CV", "VALUE", "VAL", "PRESENTVALUE", "READVALUE"];
+const VALUES: &str = "CV|F_CV|VALUE|VAL|PRESENTVALUE|READVALUE";
 
 /// Blocks of a control module: the same loop, another block (Honeywell, DeltaV).
-const BLOCKS: [&str; 9] = ["DACA", "PIDA", "PID", "PID1", "AI1", "AO1", "FBPID", "REGCTLA", "DATAACQA"];
+const BLOCKS: &str = "DACA|PIDA|PID|PID1|AI1|AO1|FBPID|REGCTLA|DATAACQA";
 
 /// The role of a tag.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -121,10 +122,10 @@ fn without<'t>(text: &'t str, end: &str) -> Option<&'t str> {
 #[must_use]
 pub fn role(tag: &str) -> Option<Role> {
     let tag = bare(tag);
-    let plain = VALUES.iter().find_map(|end| without(tag, end).filter(|stem| !stem.is_empty()));
+    let plain = VALUES.split('|').find_map(|end| without(tag, end).filter(|stem| !stem.is_empty()));
     let found = longest_end(tag).or_else(|| longest_end(plain?))?;
     let (stem, rank) = found;
-    let stem = BLOCKS.iter().find_map(|block| without(stem, block).filter(|s| !s.is_empty())).unwrap_or(stem);
+    let stem = BLOCKS.split('|').find_map(|block| without(stem, block).filter(|s| !s.is_empty())).unwrap_or(stem);
     let loop_name = if stem.is_empty() { String::new() } else { loop_name_from(stem) };
     let signal = match ENDS[rank] {
         // A column called mv alone is the program's own word for the valve's position.
@@ -147,122 +148,73 @@ pub(super) fn plain(name: &str) -> String {
 
 /// Whether a heading is one of a time column.
 pub(super) fn is_time(name: &str) -> bool {
-    const TIMES: [&str; 41] = [
-        "t",
-        "ts",
-        "time",
-        "timestamp",
-        "time stamp",
-        "date",
-        "datetime",
-        "date time",
-        "zeit",
-        "zeitstempel",
-        "datum",
-        "datum zeit",
-        "datum uhrzeit",
-        "uhrzeit",
-        "horodatage",
-        "date heure",
-        "heure",
-        "fecha",
-        "fecha hora",
-        "hora",
-        "local time",
-        "localtime",
-        "utc",
-        "utc time",
-        "time utc",
-        "timestamp utc",
-        "event time",
-        "eventtime",
-        "source time",
-        "sourcetime",
-        "source timestamp",
-        "sourcetimestamp",
-        "sample time",
-        "log time",
-        "logtime",
-        "recorded time",
-        "t s",
-        "time s",
-        "index",
-        "tijd",
-        "tidpunkt",
-    ];
+    const TIMES: &str = "t|ts|time|timestamp|time stamp|date|datetime|date time|zeit|zeitstempel|datum|datum zeit|datum uhrzeit|\
+        uhrzeit|horodatage|date heure|heure|fecha|fecha hora|hora|local time|localtime|utc|utc time|time utc|\
+        timestamp utc|event time|eventtime|source time|sourcetime|source timestamp|sourcetimestamp|sample time|\
+        log time|logtime|recorded time|index|tijd|tidpunkt";
     let name = plain(name);
-    TIMES.contains(&name.as_str()) || name.ends_with(" timestamp") || name.starts_with("timestamp ")
+    is_one_of(&name, TIMES)
+        || name.ends_with(" timestamp")
+        || name.starts_with("timestamp ")
+        || ["t ", "ts ", "time ", "timestamp ", "epoch "]
+            .iter()
+            .any(|start| name.strip_prefix(start).is_some_and(|unit| unit_of_time(unit).is_some()))
 }
 
 /// Whether a heading is one of a date column without time of day.
 pub(super) fn is_date(name: &str) -> bool {
-    ["date", "datum", "fecha", "day", "tag"].contains(&plain(name).as_str())
+    is_one_of(&plain(name), "date|datum|fecha|day|tag")
 }
 
 /// Whether a heading is one of a tag column.
 pub(super) fn is_tag(name: &str) -> bool {
-    const TAGS: [&str; 19] = [
-        "tag",
-        "tagname",
-        "tag name",
-        "tag id",
-        "name",
-        "point",
-        "pointname",
-        "point name",
-        "point id",
-        "item",
-        "itemid",
-        "item id",
-        "item name",
-        "signal",
-        "signal name",
-        "variable",
-        "sensor",
-        "series",
-        "data point",
-    ];
-    TAGS.contains(&plain(name).as_str())
+    const TAGS: &str = "tag|tagname|tag name|tag id|name|point|pointname|point name|point id|item|itemid|item id|item name|signal|\
+        signal name|variable|sensor|series|data point";
+    is_one_of(&plain(name), TAGS)
 }
 
 /// Whether a heading is one of a value column.
 pub(super) fn is_value(name: &str) -> bool {
-    const VALUES: [&str; 14] = [
-        "value",
-        "val",
-        "wert",
-        "valeur",
-        "valor",
-        "reading",
-        "numeric value",
-        "value num",
-        "value double",
-        "vvalue",
-        "pvalue",
-        "data",
-        "data value",
-        "messwert",
-    ];
-    VALUES.contains(&plain(name).as_str())
+    const HEADS: &str = "value|val|wert|valeur|valor|reading|numeric value|value num|value double|vvalue|pvalue|data|data value|\
+        messwert";
+    is_one_of(&plain(name), HEADS)
 }
 
-/// Whether a heading is one of a quality column, such as `FIC101.PV Status` for the column before it.
-pub(super) fn is_quality(name: &str) -> bool {
-    const WORDS: [&str; 11] = [
-        "quality",
-        "qual",
-        "status",
-        "confidence",
-        "qualität",
-        "statuscode",
-        "opcquality",
-        "isgood",
-        "qualité",
-        "calidad",
-        "questionable",
-    ];
+/// What a quality column judges: `fic101 pv` for `FIC101.PV Status`, nothing for `Quality`; `None` for other headings.
+pub(super) fn quality_of(name: &str) -> Option<String> {
+    const WORDS: &str = "quality|qual|status|confidence|qualität|statuscode|opcquality|isgood|qualité|calidad|\
+        quality code|status code|opc quality";
     let name = plain(name);
-    name == "quality code" || name == "status code" || WORDS.contains(&name.rsplit(' ').next().unwrap_or_default())
+    // Data tools number headings that occur twice.
+    let name = name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end();
+    let parts = |word: &str| match name.strip_suffix(word)? {
+        "" => Some(String::new()),
+        of => of.strip_suffix(' ').map(str::to_owned),
+    };
+    let first = |word: &&str| name.strip_prefix(*word)?.strip_prefix(' ').map(str::to_owned);
+    WORDS.split('|').filter_map(parts).min_by_key(String::len).or_else(|| ["quality", "status"].iter().find_map(first))
+}
+
+/// A unit of time, ns.
+pub(super) fn unit_of_time(word: &str) -> Option<i64> {
+    Some(match word.to_lowercase().as_str() {
+        "s" | "sec" | "secs" | "second" | "seconds" => NS_PER_S,
+        "ms" | "msec" | "millis" | "millisecond" | "milliseconds" => 1_000_000,
+        "us" | "µs" | "μs" | "usec" | "micros" | "microseconds" => 1_000,
+        "ns" | "nsec" | "nanos" | "nanoseconds" => 1,
+        "min" | "minute" | "minutes" => 60 * NS_PER_S,
+        "h" | "hr" | "hrs" | "hour" | "hours" => 3600 * NS_PER_S,
+        "d" | "day" | "days" => 86_400 * NS_PER_S,
+        _ => return None,
+    })
+}
+
+/// The unit of times that a heading names, ns: `Time [ms]`, `time_us`.
+pub(super) fn time_unit(name: &str) -> Option<i64> {
+    match unit(name) {
+        Some(bracketed) => unit_of_time(bracketed),
+        None => plain(name).rsplit_once(' ').and_then(|(_, last)| unit_of_time(last)).filter(|_| is_time(name)),
+    }
 }
 
 #[cfg(test)]
@@ -305,7 +257,17 @@ mod tests {
     #[test]
     fn headings_are_told() {
         assert!(is_time("Time Stamp") && is_time("time [s]") && is_time("Date/Time") && !is_time("41FIC101.PV"));
-        assert!(is_tag("TagName") && is_value("Value") && is_quality("Quality") && is_quality("41FIC101.PV Status"));
+        assert!(is_tag("TagName") && is_value("Value") && quality_of("Quality").is_some());
         assert_eq!(unit("t [s]"), Some("s"));
+        for (name, of) in [("41FIC101.PV Status", "41fic101 pv"), ("pv_quality", "pv"), ("Quality.1", "")] {
+            assert_eq!(quality_of(name).as_deref(), Some(of), "{name}");
+        }
+        assert_eq!(quality_of("pv"), None);
+        for (name, unit) in
+            [("Time [ms]", Some(1_000_000)), ("t (days)", Some(86_400 * NS_PER_S)), ("time_us", Some(1_000))]
+        {
+            assert_eq!(time_unit(name), unit, "{name}");
+        }
+        assert_eq!([time_unit("Time"), time_unit("t"), time_unit("Timestamp (UTC)"), time_unit("s")], [None; 4]);
     }
 }

@@ -23,6 +23,8 @@ pub struct ReadOptions {
     pub sheet: Option<String>,
     /// Meaning of quality codes.
     pub codes: Option<Codes>,
+    /// Words and numbers that stand for a missing value; `none` says that all numbers count.
+    pub missing: Vec<String>,
 }
 
 impl ReadOptions {
@@ -34,6 +36,8 @@ impl ReadOptions {
         match name.replace('-', "_").as_str() {
             "map" => self.map = Some(Map::parse(value)?),
             "time_format" => self.time_format = Some(TimeFormat::parse(value)?),
+            "time_unit" => self.time_format = Some(TimeFormat::unit(value)?),
+            "missing" => self.missing = value.split(',').map(|word| word.trim().to_owned()).collect(),
             "tz" => self.zone = Some(Zone::parse(value)?),
             "decimal" => self.decimal = Some(one_of(value)?),
             "delimiter" => self.delimiter = Some(delimiter(value)?),

@@ -3,13 +3,16 @@
 use std::collections::HashMap;
 
 use super::columns::listed;
-use super::gather::Series;
+use super::gather::{Series, Taken};
 use super::map::{Map, Part};
 use super::{Contents, Export, ExportError, ReadOptions, Recognised};
-use crate::LoadedLoop;
-use stiction::core::record::{Sample, Signal, Value};
+use crate::{BAD, LoadedLoop};
+use stiction::core::record::{Sample, Signal};
 use stiction::core::units::loop_name_from;
+use stiction_engine::analysis::rows::Rows;
 
+/// Fewer equal values may be by chance.
+const ENOUGH: usize = 10;
 /// Most tags named in a warning.
 const SHOWN: usize = 8;
 
@@ -26,7 +29,8 @@ struct Group {
 pub(super) fn loops(files: Vec<(String, Contents)>, options: &ReadOptions) -> Result<Export, ExportError> {
     let mut export = Export::default();
     let (mut groups, mut by_name): (Vec<Group>, HashMap<String, usize>) = (Vec::new(), HashMap::new());
-    let (mut words, mut counts, mut ignored) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut words, mut counts, mut ignored, mut columns) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let own = matches!(&files[..], [(_, contents)] if contents.own);
     for (stem, contents) in files {
         export.warnings.extend(contents.warnings);
         ignored.extend(contents.ignored);
@@ -44,17 +48,38 @@ pub(super) fn loops(files: Vec<(String, Contents)>, options: &ReadOptions) -> Re
             if at == groups.len() {
                 groups.push(Group { name, series: Vec::new() });
             }
-            groups[at].series.push(series);
+            let group = &mut groups[at];
+            // Files of consecutive days bring the same tag again.
+            match group.series.iter_mut().find(|known| known.tag == series.tag && known.role == series.role) {
+                Some(known) => known.samples.extend(series.samples),
+                None => {
+                    columns.push(in_words(&series, &group.name));
+                    group.series.push(series);
+                }
+            }
         }
     }
     check_map(options.map.as_ref(), &groups)?;
     let tags: Vec<String> = groups.iter().flat_map(|g| g.series.iter().map(|s| s.tag.clone())).collect();
-    let mut lonely: Vec<String> = Vec::new();
+    let (mut lonely, mut copied): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
     for group in groups {
-        match close(group, &mut export.warnings) {
+        let tags = || group.series.iter().map(|s| s.tag.as_str()).collect::<Vec<_>>().join(" and ");
+        if is_one_signal_twice(&group) {
+            copied.push(tags());
+            continue;
+        }
+        match close(group, own, &mut export.warnings) {
             Ok(one) => export.loops.push(one),
             Err(tags) => lonely.extend(tags),
         }
+    }
+    if let Some(both) = copied.first() {
+        let what = format!("{both} hold the same values, so they are one signal");
+        let fault = ExportError::at(0, what, "name the other one: --map op=TAG,pv=TAG");
+        if export.loops.is_empty() {
+            return Err(fault);
+        }
+        export.warnings.push(format!("not read: {fault}"));
     }
     if export.loops.is_empty() {
         return Err(nothing(&tags, &ignored));
@@ -65,8 +90,16 @@ pub(super) fn loops(files: Vec<(String, Contents)>, options: &ReadOptions) -> Re
     if !ignored.is_empty() {
         export.warnings.push(format!("ignored columns or tags: {}", shown(&ignored)));
     }
-    export.recognised = Some(Recognised { form: words.join(", "), counts });
+    // The program's own tables are as their documentation says: there is nothing to tell.
+    export.recognised = (!own || !counts.is_empty()).then(|| Recognised { form: words.join(", "), counts, columns });
     Ok(export)
+}
+
+/// What a tag is read as.
+fn in_words(series: &Series, loop_name: &str) -> String {
+    let unit = series.unit.as_ref().map_or_else(String::new, |unit| format!(" in {unit}"));
+    let quality = series.quality.as_ref().map_or_else(String::new, |name| format!(", quality by {name:?}"));
+    format!("{:?} is {} of {loop_name}{unit}{quality}", series.tag, series.role.signal.name())
 }
 
 fn shown(names: &[String]) -> String {
@@ -109,8 +142,19 @@ fn nothing(tags: &[String], ignored: &[String]) -> ExportError {
     ExportError::at(0, text, remedy)
 }
 
-/// Samples of one loop in time order, or the tags of a loop without OP or PV.
-fn close(group: Group, warnings: &mut Vec<String>) -> Result<LoadedLoop, Vec<String>> {
+/// Whether OP and PV change, and have equal values at all their times.
+fn is_one_signal_twice(group: &Group) -> bool {
+    let of = |signal| group.series.iter().find(|s| s.role.signal == signal).map_or(&[][..], |s| &s.samples[..]);
+    let (op, pv) = (of(Signal::Op), of(Signal::Pv));
+    let changes = op.windows(2).any(|w| w[0].value != w[1].value);
+    changes
+        && op.len() >= ENOUGH
+        && op.len() == pv.len()
+        && op.iter().zip(pv).all(|(a, b)| (a.t_ns, a.value) == (b.t_ns, b.value))
+}
+
+/// Samples of one loop in time order (of the program's own table in the order of its rows), or the tags of a loop without OP or PV.
+fn close(group: Group, own: bool, warnings: &mut Vec<String>) -> Result<LoadedLoop, Vec<String>> {
     let mut by_signal: Vec<Option<Series>> = vec![None; Signal::ALL.len()];
     let mut tags = Vec::new();
     for series in group.series {
@@ -132,16 +176,37 @@ fn close(group: Group, warnings: &mut Vec<String>) -> Result<LoadedLoop, Vec<Str
     if !has(Signal::Op) || !has(Signal::Pv) {
         return Err(tags);
     }
-    let mut samples: Vec<Sample> = Vec::new();
     let unit = |wanted| by_signal.iter().flatten().find(|s| s.role.signal == wanted).and_then(|s| s.unit.clone());
     let units = [Signal::Op, Signal::Pv].map(unit);
+    let of_row = |signal, taken: Taken| {
+        let quality = taken.bad.then_some(BAD);
+        Sample { signal, t_ns: taken.t_ns, value: taken.value, quality }
+    };
+    if own {
+        let series: Vec<(Signal, Series)> =
+            Signal::ALL.into_iter().zip(by_signal).filter_map(|(signal, series)| Some((signal, series?))).collect();
+        let mut rows = Rows::default();
+        for row in 0..series.first().map_or(0, |(_, s)| s.samples.len()) {
+            for (at, (signal, series)) in series.iter().enumerate() {
+                let taken = series.samples[row];
+                if at == 0 {
+                    rows.begin(taken.t_ns);
+                }
+                rows.cell(*signal, (!taken.empty).then_some((taken.value, of_row(*signal, taken).quality)));
+            }
+        }
+        let joined = rows.finish();
+        warnings.extend(joined.warnings);
+        return Ok(LoadedLoop { units, ..LoadedLoop::new(group.name, joined.samples) });
+    }
+    let mut samples: Vec<Sample> = Vec::new();
     for (signal, series) in Signal::ALL.into_iter().zip(by_signal) {
         let Some(series) = series else { continue };
-        let empty = series.samples.iter().filter(|(_, _, empty)| *empty).count();
+        let empty = series.samples.iter().filter(|taken| taken.empty).count();
         // Where most cells are empty the rows are other tags' own; set points and modes are written when they change.
         let drop = !matches!(signal, Signal::Op | Signal::Pv) || 2 * empty > series.samples.len();
-        let kept = series.samples.into_iter().filter(|(_, _, empty)| !(drop && *empty));
-        samples.extend(kept.map(|(t_ns, value, _): (i64, Value, bool)| Sample { signal, t_ns, value, quality: None }));
+        let kept = series.samples.into_iter().filter(|taken| !(drop && taken.empty));
+        samples.extend(kept.map(|taken| of_row(signal, taken)));
     }
     // Stable: signals of one time stay in the order of `Signal::ALL`.
     samples.sort_by_key(|s| s.t_ns);

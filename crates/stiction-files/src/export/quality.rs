@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use clap::ValueEnum;
 
 use super::ExportError;
+use crate::number::is_missing_word;
 
 /// Meaning of the quality codes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -35,21 +36,29 @@ pub(super) enum Mark {
 }
 
 impl Mark {
-    /// Parses a cell.
-    pub(super) fn read(text: &str) -> Self {
+    /// Parses a cell; `None` if it is no known word for a quality.
+    pub(super) fn read(text: &str) -> Option<Self> {
+        const GOOD: &str = "good|ok|okay|valid|true|normal|gut|bon|bueno|g|yes";
+        const BAD: &str = "bad|uncertain|questionable|doubtful|invalid|false|poor|stale|error|fail|failed|failure|fault|\
+            substituted|schlecht|mauvais|malo|b|u|no|n/a|none|null|missing|unknown|not good|disconnected";
         let text = text.trim();
         if text.is_empty() {
-            return Self::None;
+            return Some(Self::None);
         }
         if let Some(code) = text.strip_prefix("0x").and_then(|hex| i64::from_str_radix(hex, 16).ok()) {
-            return Self::Code(code);
+            return Some(Self::Code(code));
         }
         if let Ok(code) = text.parse::<f64>() {
-            return Self::Code(code as i64);
+            return Some(Self::Code(code as i64));
         }
         let lower = text.to_lowercase();
-        let good = ["good", "ok", "valid", "true", "normal", "gut", "bon", "g"];
-        if good.iter().any(|w| lower == *w || (w.len() > 3 && lower.starts_with(w))) { Self::Good } else { Self::Bad }
+        // OPC and Ignition write `Good_Clamped`, `Bad, Sensor Failure`, `BadNoCommunication`.
+        let is = |list: &str| list.split('|').any(|w| lower == w || (w.len() > 2 && lower.starts_with(w)));
+        match (is(GOOD), is(BAD) || is_missing_word(text)) {
+            (true, _) => Some(Self::Good),
+            (_, true) => Some(Self::Bad),
+            _ => None,
+        }
     }
 
     /// Whether it marks the value as bad.
@@ -77,7 +86,7 @@ pub(super) fn convention(
     }
     let all = |inside: fn(i64) -> bool| counts.keys().all(|code| inside(*code));
     let any = |inside: fn(i64) -> bool| counts.keys().any(|code| inside(*code));
-    let flag = name.contains("good") && all(|c| c == 0 || c == 1);
+    let flag = name.to_lowercase().contains("good") && all(|c| c == 0 || c == 1);
     if flag {
         Ok(Codes::Flag)
     } else if all(|c| (0..=255).contains(&c)) && any(|c| c >= 192) {
@@ -108,7 +117,9 @@ mod tests {
         assert_eq!(of(&[0, 85, 100], "confidence"), Ok(Codes::Percent));
         assert_eq!(of(&[0, 1], "isgood"), Ok(Codes::Flag));
         assert!(of(&[0, 1], "status").unwrap_err().contains("--quality"));
-        assert!(Mark::read("Bad, Sensor").is_bad(Codes::Classic) && !Mark::read("Good").is_bad(Codes::Classic));
-        assert!(Mark::read("0x808C0000").is_bad(Codes::Ua) && !Mark::read("192").is_bad(Codes::Classic));
+        let bad = |text: &str, codes| Mark::read(text).map(|mark| mark.is_bad(codes));
+        assert_eq!([bad("Bad, Sensor", Codes::Classic), bad("Good", Codes::Classic)], [Some(true), Some(false)]);
+        assert_eq!([bad("0x808C0000", Codes::Ua), bad("192", Codes::Classic)], [Some(true), Some(false)]);
+        assert_eq!(Mark::read("Running"), None);
     }
 }

@@ -1,6 +1,8 @@
 //! Parses one cell of a time column without deciding its meaning: 05/01/26 keeps all its readings until the whole column
 //! has been seen.
 
+use std::borrow::Cow;
+
 use jiff::civil::Date;
 use jiff::tz::Offset;
 
@@ -44,8 +46,6 @@ pub(super) struct Civil {
     pub offset_s: Option<i32>,
     /// Letters such as CEST after the time.
     pub zone: Option<[u8; 5]>,
-    /// Whether AM or PM is given.
-    pub half_days: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -199,7 +199,7 @@ fn compact(text: &str) -> Option<Civil> {
         14 => clock(part(8, 10)?, part(10, 12)?, part(12, 14)?, 0)?,
         _ => return None,
     };
-    let civil = Civil { fields, separator: b'-', clock_ns, offset_s: None, zone: None, half_days: false };
+    let civil = Civil { fields, separator: b'-', clock_ns, offset_s: None, zone: None };
     civil.date(Order::Ymd).is_some().then_some(civil)
 }
 
@@ -222,8 +222,58 @@ fn field(word: &str) -> Option<Field> {
     month(word).map(|value| Field { value, digits: 0, named: true })
 }
 
+/// Words for the halves of the day that Unicode's locales have, without blanks and points: before and after noon.
+const HALF_DAYS: [(&str, &str); 18] = [
+    ("am", "pm"),
+    ("vorm", "nachm"),
+    ("voorm", "nam"),
+    ("fm", "em"),
+    ("ap", "ip"),
+    ("dop", "odp"),
+    ("de", "du"),
+    ("pd", "md"),
+    ("sa", "ch"),
+    ("öö", "ös"),
+    ("πμ", "μμ"),
+    ("дп", "пп"),
+    ("проб", "слоб"),
+    ("ص", "م"),
+    ("上午", "下午"),
+    ("午前", "午後"),
+    ("오전", "오후"),
+    ("formiddag", "eftermiddag"),
+];
+
+/// A time with AM or PM for such words of any language, which stand behind or before the time of day.
+fn in_english(text: &str) -> Cow<'_, str> {
+    let plain = |c: char| c.is_ascii_digit() || " -/.:,+TZ".contains(c);
+    let letters = |c: char| c.is_alphabetic() || ". \u{a0}\u{202f}\u{3000}".contains(c);
+    if text.chars().all(plain) || !text.contains(':') {
+        return text.into();
+    }
+    // The word is next to the time of day: what stands before its hour, or behind its last figure.
+    let colon = text.find(':').unwrap_or(0);
+    let hour = text[..colon].trim_end_matches(|c: char| c.is_ascii_digit()).len();
+    let before = text[..hour].trim_end_matches(letters).len();
+    let last = text.rfind(|c: char| c.is_ascii_digit()).map_or(text.len(), |at| at + 1);
+    let half = |word: &str| {
+        let word: String = word.to_lowercase().chars().filter(|c| c.is_alphabetic()).collect();
+        let found =
+            HALF_DAYS.iter().find_map(|(am, pm)| [(am, "AM"), (pm, "PM")].into_iter().find(|(w, _)| **w == word));
+        found.map(|(_, english)| english)
+    };
+    if let Some(half) = half(&text[last..]) {
+        return format!("{} {half}", &text[..last]).into();
+    }
+    match half(&text[before..hour]) {
+        Some(half) => format!("{} {} {half}", &text[..before], &text[hour..]).into(),
+        None => text.into(),
+    }
+}
+
 fn civil(text: &str) -> Option<Civil> {
-    let text = without_weekday(text);
+    let text = in_english(text);
+    let text = without_weekday(&text);
     let (head, rest) = take(text, |c| c.is_ascii_digit());
     let (fields, separator, rest) = if head.len() == 8 {
         (compact(head)?.fields, b'-', rest)
@@ -245,7 +295,7 @@ fn civil(text: &str) -> Option<Civil> {
     };
     let (joint, rest) = take(rest, |c| c == ' ' || c == '\u{a0}' || c == ',' || c == '_');
     let rest = if joint.is_empty() { rest.strip_prefix(['T', 't', ':']).unwrap_or(rest) } else { rest };
-    let mut civil = Civil { fields, separator, clock_ns: 0, offset_s: None, zone: None, half_days: false };
+    let mut civil = Civil { fields, separator, clock_ns: 0, offset_s: None, zone: None };
     if rest.is_empty() {
         return Some(civil);
     }
@@ -302,7 +352,7 @@ impl Civil {
             if !(1..=12).contains(&parts[0]) {
                 return None;
             }
-            (parts[0], self.half_days, rest) = (parts[0] % 12 + half, true, after);
+            (parts[0], rest) = (parts[0] % 12 + half, after);
         }
         self.clock_ns = clock(parts[0], parts[1], parts[2], fraction_ns)?;
         Some(rest)
@@ -423,6 +473,11 @@ mod tests {
             ("25/1/2026 12:30 p.m.", "dmy", "2026-01-25T12:30:00Z"),
             ("05-JAN-26 08.00.00.500000 PM", "dmy", "2026-01-05T20:00:00.5Z"),
             ("05 juillet 2026 08:00", "dmy", "2026-07-05T08:00:00Z"),
+            ("25.01.2026 08:00:00 nachm.", "dmy", "2026-01-25T20:00:00Z"),
+            ("25/1/2026 12:00:00 a. m.", "dmy", "2026-01-25T00:00:00Z"),
+            ("2026/1/25 下午 8:00:00", "ymd", "2026-01-25T20:00:00Z"),
+            ("2026-01-25 오후 8:00:00", "ymd", "2026-01-25T20:00:00Z"),
+            ("25/1/2026 8:00:00 μ.μ.", "dmy", "2026-01-25T20:00:00Z"),
         ] {
             assert_eq!(orders(text), [(order, stamp.to_owned())], "{text}");
         }

@@ -161,7 +161,15 @@ impl Sheet {
             words.push(format!("units in row {}", self.rows[head + 1].0));
             units.extend(self.rows[head + 1].1.iter().map(|c| c.to_string().trim().to_owned()));
         }
-        Table { names, line: self.rows[head].0, rows: Box::new(SheetRows(self)), units, words }
+        Table {
+            names,
+            line: self.rows[head].0,
+            rows: Box::new(SheetRows(self)),
+            units,
+            words,
+            decimal: None,
+            warnings: Vec::new(),
+        }
     }
 }
 

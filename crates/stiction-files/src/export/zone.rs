@@ -28,6 +28,52 @@ const WINDOWS: [(&str, &str); 14] = [
     ("AUS Eastern Standard Time", "Australia/Sydney"),
 ];
 
+/// Letters behind a time, filled up with zeros.
+pub(super) type Letters = [u8; 5];
+
+/// Letters that times carry, with their hours from UTC. Several zones share some of them, so they never give a zone, but
+/// they must agree with the one that is given.
+const LETTERS: [(&str, i32); 27] = [
+    ("UTC", 0),
+    ("GMT", 0),
+    ("WET", 0),
+    ("WEST", 1),
+    ("BST", 1),
+    ("CET", 1),
+    ("MEZ", 1),
+    ("CEST", 2),
+    ("MESZ", 2),
+    ("EET", 2),
+    ("EEST", 3),
+    ("MSK", 3),
+    ("SGT", 8),
+    ("CST", 8),
+    ("JST", 9),
+    ("KST", 9),
+    ("AEST", 10),
+    ("AEDT", 11),
+    ("BRT", -3),
+    ("EDT", -4),
+    ("EST", -5),
+    ("CDT", -5),
+    ("CST", -6),
+    ("MDT", -6),
+    ("MST", -7),
+    ("PDT", -7),
+    ("PST", -8),
+];
+
+/// Whether a word may be the letters of a zone.
+pub(super) fn is_letters(word: &str) -> bool {
+    (2..=5).contains(&word.len()) && word.bytes().all(|b| b.is_ascii_uppercase()) && word != "UTC" && word != "GMT"
+}
+
+/// The letters of a word that is known as such.
+pub(super) fn letters_of(word: &str) -> Option<Letters> {
+    let known = is_letters(word) && LETTERS.iter().any(|(known, _)| *known == word);
+    known.then(|| std::array::from_fn(|at| word.as_bytes().get(at).copied().unwrap_or(0)))
+}
+
 /// A time zone as requested.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Zone {
@@ -41,7 +87,7 @@ pub(super) struct Reading {
     /// ns as if it were UTC.
     pub local_ns: i64,
     /// Letters such as CEST after it.
-    pub letters: Option<[u8; 5]>,
+    pub letters: Option<Letters>,
     /// Line in the file.
     pub line: u64,
 }
@@ -62,7 +108,7 @@ impl Zone {
     pub fn parse(text: &str) -> Result<Self, String> {
         let of = |zone| Ok(Self { name: text.to_owned(), zone });
         if text.eq_ignore_ascii_case("utc") || text.eq_ignore_ascii_case("gmt") || text == "Z" {
-            return Ok(Self { name: "UTC".to_owned(), zone: TimeZone::UTC });
+            return Ok(Self::utc());
         }
         if let Some(offset) = fixed(text) {
             return of(TimeZone::fixed(offset));
@@ -79,6 +125,34 @@ impl Zone {
         Err(format!(
             "{text:?} is not a time zone; write a name such as Europe/Berlin, UTC, or an offset such as +01:00"
         ))
+    }
+
+    /// UTC.
+    pub(super) fn utc() -> Self {
+        Self { name: "UTC".to_owned(), zone: TimeZone::UTC }
+    }
+
+    /// Whether two zones have the same clocks, by their offsets in each month of a year.
+    pub(super) fn agrees(&self, other: &Self) -> bool {
+        (1..=12).all(|month| {
+            let noon = jiff::civil::date(2025, month, 15).at(12, 0, 0, 0);
+            let at = Offset::UTC.to_timestamp(noon).unwrap_or(jiff::Timestamp::UNIX_EPOCH);
+            self.zone.to_offset(at) == other.zone.to_offset(at)
+        })
+    }
+
+    /// Whether letters behind a time can be those of this zone at an instant.
+    fn check_letters(&self, reading: Reading, t_ns: i64) -> Result<(), ExportError> {
+        let Some(letters) = reading.letters.map(in_words) else { return Ok(()) };
+        let at = jiff::Timestamp::from_nanosecond(i128::from(t_ns)).unwrap_or(jiff::Timestamp::UNIX_EPOCH);
+        let info = self.zone.to_offset_info(at);
+        let own = info.abbreviation();
+        let fits = LETTERS.iter().any(|(word, hours)| *word == letters && info.offset().seconds() == 3600 * hours);
+        if own == letters || fits {
+            return Ok(());
+        }
+        let what = format!("the time says {letters}, but the zone {} is {own} then", self.name);
+        Err(ExportError::at(reading.line, what, "give the zone of these times with --tz"))
     }
 
     /// The requested name.
@@ -100,7 +174,7 @@ impl Zone {
             AmbiguousOffset::Unambiguous { offset } => Ok(Meaning::Once(instant(offset)?)),
             AmbiguousOffset::Fold { before, after } => {
                 let wanted = |offset: &&Offset| {
-                    let letters = reading.letters.map(letters_of);
+                    let letters = reading.letters.map(in_words);
                     let there = offset.to_timestamp(civil).ok();
                     letters.is_some_and(|l| there.is_some_and(|t| self.zone.to_offset_info(t).abbreviation() == l))
                 };
@@ -137,6 +211,7 @@ impl Zone {
             twice += 1;
             at += run;
         }
+        readings.iter().zip(&out).try_for_each(|(reading, t_ns)| self.check_letters(*reading, *t_ns))?;
         Ok((out, twice))
     }
 
@@ -184,13 +259,9 @@ fn civil_of(local_ns: i64) -> Option<DateTime> {
     Some(Offset::UTC.to_datetime(stamp))
 }
 
-fn letters_of(letters: [u8; 5]) -> String {
+/// The letters as text.
+pub(super) fn in_words(letters: Letters) -> String {
     letters.iter().filter(|b| **b != 0).map(|b| char::from(*b)).collect()
-}
-
-/// The letters as text, for messages.
-pub(super) fn letters(letters: [u8; 5]) -> String {
-    letters_of(letters)
 }
 
 #[cfg(test)]
@@ -231,6 +302,31 @@ mod tests {
         assert!(of(&["02:10:00", "02:20:00"]).unwrap_err().contains("twice"));
         let spring = hours(&["2026-03-29T02:30:00"]).unwrap_err();
         assert!(spring.contains("line 2") && spring.contains("does not exist"), "{spring}");
+    }
+
+    #[test]
+    fn letters_must_be_those_of_the_zone() {
+        let read = |zone: &str, time: &str| {
+            Zone::parse(zone).unwrap().instants(&readings(&[time])).map(|_| ()).map_err(|e| e.to_string())
+        };
+        for (zone, time) in [
+            ("Europe/Berlin", "2026-06-15T10:00:00 CEST"),
+            ("Europe/Berlin", "2026-06-15T10:00:00 MESZ"),
+            ("+02:00", "2026-06-15T10:00:00 CEST"),
+            ("America/New_York", "2026-01-15T10:00:00 EST"),
+        ] {
+            assert_eq!(read(zone, time), Ok(()), "{zone} {time}");
+        }
+        for (zone, time) in [
+            ("UTC", "2026-06-15T10:00:00 CEST"),
+            ("Europe/Berlin", "2026-06-15T10:00:00 CET"),
+            ("Europe/Berlin", "2026-06-15T10:00:00 EDT"),
+            ("Europe/Berlin", "2026-06-15T10:00:00 NACH"),
+        ] {
+            let told = read(zone, time).unwrap_err();
+            let letters = time.rsplit(' ').next().unwrap();
+            assert!(told.contains(letters) && told.contains(zone) && told.contains("--tz"), "{told}");
+        }
     }
 
     #[test]

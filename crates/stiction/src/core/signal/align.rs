@@ -49,7 +49,7 @@ pub enum Quality {
 impl Quality {
     /// Whether a code means good quality.
     #[must_use]
-    pub(crate) const fn is_good(self, code: u32) -> bool {
+    pub const fn is_good(self, code: u32) -> bool {
         match self {
             Self::Ua => code >> 30 == 0,
             Self::Classic => code & 0xC0 == 0xC0,

@@ -22,7 +22,7 @@ use stiction::core::record::{Record, Sample, Signal};
 use stiction::core::units::ns_from_s;
 use stiction_engine::config::Config;
 use stiction_files::labelled::whole_record;
-use stiction_files::{csv, load_samples};
+use stiction_files::{LoadedLoop, csv, load_samples};
 use stiction_lab::challenge::score::{Answer, Figures, score};
 use stiction_lab::challenge::{Deck, Split, Truth, TruthCase, seal};
 use stictiond::cli::{Format, Outcome, UsageError, on_all_cores, print, say};
@@ -188,7 +188,7 @@ fn new(args: &NewArgs, format: Format) -> anyhow::Result<Outcome> {
     let deal = |index: &usize| -> anyhow::Result<Option<TruthCase>> {
         let Some(dealt) = deck.deal(*index) else { return Ok(None) };
         let mut table = Vec::new();
-        csv::write(&samples_of(&dealt.record), &mut table)?;
+        csv::write(&LoadedLoop::new("", samples_of(&dealt.record)), &mut table)?;
         write(&folder.join(format!("{}.csv", dealt.name)), &table)?;
         Ok(Some(dealt.truth))
     };
