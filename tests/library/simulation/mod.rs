@@ -18,6 +18,7 @@ mod receiver;
 mod refill;
 mod repairs;
 mod restarts;
+mod scripted;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -31,15 +32,12 @@ use plant::{Plant, STEP_NS, below, one_in};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use receiver::{Account, Receiver};
+use scripted::scripted;
 use stiction::core::gap::Serial;
-use stiction::core::ident::region::Size;
-use stiction::core::units::Moment;
-use stiction::core::verdict::{Assessment, CountedBy, Oscillation, Verdict, Window};
 use stiction_engine::alarm::Command;
 use stiction_engine::codec::topic::{Kind, Leaf, Topic};
 use stiction_engine::config::Config;
-use stiction_engine::engine::{GapRequest, Request, SkipReason};
-use stiction_engine::short_hash;
+use stiction_engine::engine::{GapRequest, SkipReason};
 use stiction_files::disk::Disk;
 use stiction_files::{RecordingReader, log_topic};
 use stictiond::daemon::gaps::Outcome;
@@ -55,7 +53,6 @@ const QUEUE_BYTES: usize = 4_194_304;
 const DAY_STEPS: i64 = 144;
 /// A start that is no whole hour, day or hop.
 const START_NS: i64 = 1_700_000_123_000_000_000;
-const CLASSES: [Size; 3] = [Size::Weak, Size::Moderate, Size::Strong];
 
 fn number(name: &str) -> Option<u64> {
     std::env::var(name).ok().and_then(|text| text.parse().ok())
@@ -71,40 +68,6 @@ impl Drop for Named {
             eprintln!("\nseed {seed} failed; again: STICTIOND_SEED={seed} cargo test --test library simulation\n");
         }
     }
-}
-
-/// What a fit of this window says: of one loop in ten that it sticks for days, of the others that they do not.
-fn scripted(seed: u64, name: &str, request: &Request) -> Assessment {
-    let draw = |what: &str| {
-        let hash = short_hash(format!("{seed} {name} {what}").as_bytes());
-        u64::from_str_radix(&hash[..12], 16).unwrap() % 100
-    };
-    let (index, spell) = (name[1..].parse::<u64>().unwrap_or(1), request.end_ns / (5 * DAY_STEPS * STEP_NS));
-    let sticks = index % 10 == 0 && draw(&format!("spell {spell}")) < 60;
-    let chance = draw(&format!("window {}", request.end_ns));
-    let (verdict, s) = match (sticks, chance) {
-        (_, 90..) => (Verdict::Inconclusive, 0.0),
-        (true, 10..) => (Verdict::Stiction, 2.0),
-        (true, _) => (Verdict::Stiction, 0.9),
-        (false, _) => (Verdict::Tuning, 0.0),
-    };
-    let (start_ns, end_ns) = (request.record().start_ns, request.end_ns);
-    let window = Window {
-        start_ns,
-        end_ns,
-        start: Moment(start_ns),
-        end: Moment(end_ns),
-        samples: 100,
-        ts_s: 600.0,
-        box_samples: 1,
-    };
-    let (period_s, periods, samples_per_period, regularity) = (None, None, None, None);
-    let oscillation = Oscillation { oscillating: sticks, period_s, periods, samples_per_period, regularity };
-    let mut a = Assessment::empty(window, oscillation);
-    (a.verdict, a.stiction, a.s) = (verdict, verdict.stiction(), Some(s));
-    a.counted_by = Some(CountedBy::Periods);
-    a.strength_by_span = Some(CLASSES[(draw(&format!("class {}", request.end_ns)) % 3) as usize]);
-    a
 }
 
 /// Figures of a whole simulation, printed at its end.
