@@ -1,7 +1,9 @@
-"""Makes fic201-export.csv: loop FIC201 of four-loops.mcap as a German historian would export it.
+"""Makes an export of a loop as a German historian would write it, from a table of `stictiond convert`.
 
     stictiond convert recordings/four-loops.mcap fic201.csv --loop FIC201
-    python3 recordings/export.py < fic201.csv > recordings/fic201-export.csv
+    python3 recordings/export.py 41FIC201 < fic201.csv > recordings/fic201-export.csv
+    stictiond convert recordings/physical.mcap fic501.csv --loop FIC501
+    python3 recordings/export.py 41FIC501 < fic501.csv > recordings/fic501-export.csv
 
 Semicolons, decimal commas, local time without a zone, tags with units in brackets.
 """
@@ -12,7 +14,8 @@ import sys
 import zoneinfo
 
 ZONE = zoneinfo.ZoneInfo("Europe/Berlin")
-NAMES = {"op": "41FIC201.OP [%]", "pv": "41FIC201.PV [m3/h]", "sp": "41FIC201.SP [m3/h]"}
+TAG = sys.argv[1]
+NAMES = {"op": f"{TAG}.OP [%]", "pv": f"{TAG}.PV [m3/h]", "sp": f"{TAG}.SP [m3/h]"}
 
 print("Zeit", *NAMES.values(), sep=";")
 for row in csv.DictReader(sys.stdin):

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Runs the commands at the head of docs/results/NAME.txt again and keeps what the last of them prints. The pages quote these
-# files, and a test compares them. INDEX.csv is that of the labelled recordings.
+# files, and tests compare them with the pages and with the calibrations that are shipped. INDEX.csv is that of the labelled
+# recordings.
 #
 #   bash tests/results.sh INDEX.csv NAME...
 set -euo pipefail
@@ -30,6 +31,9 @@ for name in "$@"; do
             printed=$("${words[@]}")
         done <<< "$commands"
         printf '%s\n' "$printed" | neutral "$index"
+        # The last line of `stictiond` and `stiction-lab` names the build; what another program prints is of the one on the path.
+        grep -q '^build: ' <<< "$printed" || stiction-lab evaluate --simulated 1 | tail -1
+        printf 'commit %s, %s\n' "$(git rev-parse --short=8 HEAD)" "$(date +%F)"
     } > "$file.new"
     mv "$file.new" "$file"
 done

@@ -32,8 +32,8 @@ FIELDS = {
     TIME: "window.start_ns window.end_ns",
     COUNT: "window.samples window.box_samples process.order search.evaluations search.rounds",
     FLAG: "stiction oscillation.oscillating j_identifiable process.integrating",
-    NUMBER: "window.ts_s p_stiction confidence s j fs fd interval_level s_detectable stiction_index s_over_span pv_span "
-    "oscillation.period_s oscillation.periods oscillation.samples_per_period oscillation.regularity process.gain "
+    NUMBER: "window.ts_s p_stiction p_calibrated prevalence confidence s j fs fd interval_level s_detectable stiction_index "
+    "s_over_span pv_span oscillation.period_s oscillation.periods oscillation.samples_per_period oscillation.regularity process.gain "
     "process.dead_time_s process.mse process.fit_pct controller.kc controller.ti_s controller.td_s "
     "controller.lag_samples controller.r2 controller.unexplained explanation.base explanation.logit",
     TEXTS: "gates contributing implausible",

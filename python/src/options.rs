@@ -26,6 +26,7 @@ pub struct Look {
 #[pyo3(from_item_all)]
 pub struct Fit {
     op_range: Option<(f64, f64)>,
+    prevalence: f64,
     kind: Option<String>,
     model: String,
     delay: String,
@@ -103,11 +104,16 @@ impl Fit {
         if !(0.5..=50.0).contains(&self.fineness_pct) {
             return Err(refused("fineness_pct", format!("{} is not a step; give 0.5 to 50 %", self.fineness_pct)));
         }
+        if !(0.001..=0.999).contains(&self.prevalence) {
+            let why = format!("{} is not a share; give 0.001 to 0.999, such as 0.1 for one in ten", self.prevalence);
+            return Err(refused("prevalence", why));
+        }
         let asked = analysis::FitOverrides {
             model: one_of("model", &self.model, &ModelChoice::ALL)?,
             valve: one_of("valve", &self.valve, &ValveChoice::ALL)?,
             delay,
             op_range: self.op_range.map(Into::into),
+            prevalence: Some(self.prevalence),
             fineness_pct: self.fineness_pct,
             seed: self.seed,
         };

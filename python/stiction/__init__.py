@@ -126,6 +126,7 @@ Given: TypeAlias = "Assessment | Gap | Mapping[str, Any]"
 
 def _fit(
     op_range: Interval | None,
+    prevalence: float,
     kind: Kind | None,
     model: Model,
     delay: str | float,
@@ -141,6 +142,7 @@ def _fit(
         raise _arrays.refused("op_range", f"{op_range!r} is not a pair of numbers; give (low, high)") from None
     return {
         "op_range": ends,
+        "prevalence": _arrays.positive("prevalence", prevalence),
         "kind": None if kind is None else str(kind),
         "model": str(model),
         "delay": str(delay),
@@ -176,6 +178,7 @@ def assess(
     mode: ArrayLike | None = None,
     name: str = "loop",
     op_range: Interval | None = None,
+    prevalence: float = 0.3,
     kind: Kind | None = None,
     model: Model = "auto",
     delay: str | float = "auto",
@@ -200,6 +203,7 @@ def assess(
     sp, mv, mode: set point (PV units), measured valve position, controller mode (`auto`, `manual`, `cascade`).
     name: the loop's tag. FIC101 implies a flow loop, unless `kind` is given.
     op_range: the full range of OP, such as (0, 100); needed for `severity_by_range`.
+    prevalence: share of such loops that stick, 0.001 to 0.999; `p_stiction` assumes it, the verdict does not depend on it.
     model: order of the process, `fopdt` or `sopdt`. delay: dead time, samples (3) or seconds ("12s").
     valve: valve model. solver: also run this solver on the error surface (`solver` in `to_dict()`), with at most
     `evaluations` models and a grid of `fineness_pct` % of OP's span. seed: for all random choices.
@@ -215,7 +219,7 @@ def assess(
     """
     name, columns = _tables.record(name, op, pv, ts_s, t, sp, mv, mode)
     look = _arrays.look(samples, window, downsample, downsample_like_toolbox, detrend)
-    fit = _fit(op_range, kind, model, delay, valve, solver, fineness_pct, evaluations, seed)
+    fit = _fit(op_range, prevalence, kind, model, delay, valve, solver, fineness_pct, evaluations, seed)
     document, said = _stiction.assess(name, columns, look, fit, _model("score", score))
     return assessment_of(document, said, Record(name, columns, look))
 
@@ -289,6 +293,7 @@ def assess_many(
     threads: int | None = None,
     progress: Progress | None = None,
     op_range: Interval | None = None,
+    prevalence: float = 0.3,
     kind: Kind | None = None,
     model: Model = "auto",
     delay: str | float = "auto",
@@ -322,7 +327,7 @@ def assess_many(
     """
     named = {"loop": loop, "t": t, "op": op, "pv": pv, "sp": sp, "mv": mv, "mode": mode}
     look = _arrays.look(samples, window, downsample, downsample_like_toolbox, detrend)
-    fit = _fit(op_range, kind, model, delay, valve, solver, fineness_pct, evaluations, seed)
+    fit = _fit(op_range, prevalence, kind, model, delay, valve, solver, fineness_pct, evaluations, seed)
     asked = _many(table, named, ts_s, threads, progress, look, fit)
     return _replies(asked["names"], _stiction.assess_many(asked))
 
@@ -377,7 +382,7 @@ def assess_plant(
     """
     named = {"loop": loop, "t": t, "op": op, "pv": pv, "sp": sp, "mv": mv, "mode": mode}
     look = _arrays.look(None, window, None, False, None)
-    fit = _fit(None, None, "auto", "auto", "auto", None, 5.0, 10_000, seed)
+    fit = _fit(None, 0.3, None, "auto", "auto", "auto", None, 5.0, 10_000, seed)
     asked = _many(table, named, None, threads, progress, look, fit)
     answers, groups = _stiction.assess_plant(asked)
     return Plant(_replies(asked["names"], answers), [json.loads(group) for group in groups])
@@ -476,7 +481,7 @@ def repair(
     """
     name, columns = _tables.record(name, op, pv, ts_s, t, sp, mv, mode)
     look = _arrays.look(samples, window, None, False, None)
-    fit = _fit(op_range, kind, "auto", "auto", "auto", None, 5.0, 10_000, seed)
+    fit = _fit(op_range, 0.3, kind, "auto", "auto", "auto", None, 5.0, 10_000, seed)
     return Repair(json.loads(_stiction.repair(name, columns, look, fit)))
 
 

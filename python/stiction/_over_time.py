@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Window: TypeAlias = "Assessment | Mapping[str, Any]"
 """A result, or its document as a dict."""
 
-_FIELDS = ("stiction", "p_stiction", "grade", "s", "s_interval", "j", "j_interval", "j_identifiable", "gates")
+_FIELDS = ("stiction", "p_stiction", "p_calibrated", "grade", "s", "s_interval", "j", "j_interval", "j_identifiable", "gates")
 
 
 class Pooled(TypedDict):

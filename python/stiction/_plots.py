@@ -437,7 +437,7 @@ def history(found: OverTime, windows: list[dict[str, Any]], figure: Figure | Non
     x, s = clock.x(t), column("s")
     upper.fill_between(x, column("s_interval", 0), column("s_interval", 1), color=INK["error"], alpha=0.15, lw=0)
     upper.plot(x, s, color=INK["error"], marker="o" if len(t) < 60 else None, ms=3, label="s and its interval")
-    words = {"repaired": "repaired", "better": "better since", "worse": "worse since"}
+    words = {"repaired": "no longer detected", "better": "better since", "worse": "worse since"}
     for change in found["changes"]:
         ink = INK["error" if change["kind"] == "worse" else "fit"]
         for axes in (upper, lower):

@@ -86,9 +86,13 @@ class Assessment:
     stiction: bool | None
     """True for `stiction` and `deadband`, None for `inconclusive`."""
     p_stiction: float | None
-    """Probability that the valve sticks, 0..1."""
+    """Probability that the valve sticks, 0..1, where `prevalence` of such valves do; None for a screened loop too."""
+    p_calibrated: float | None
+    """The same where half of them do; verdict and grade follow from it."""
+    prevalence: float
+    """Share of such loops that is assumed to stick."""
     confidence: float | None
-    """Probability of the verdict."""
+    """The larger of p_calibrated and 1 - p_calibrated."""
     grade: str | None
     """A (reliable, with a narrow interval) to D (no answer)."""
     s: float | None
@@ -211,7 +215,7 @@ class Assessment:
         )
         return _show.card(self.loop, self.words, [
             ("window, UTC", " to ".join(_show.moment(end) for end in self.window)),
-            ("probability of stiction", None if self.p_stiction is None else f"{self.p_stiction:.2f}, grade {self.grade or '-'}"),
+            ("probability of stiction", None if self.p_stiction is None else f"{self.p_stiction:.2f} if {self.prevalence:.0%} of such loops stick, grade {self.grade or '-'}"),
             ("s, OP units", _show.estimate(self.s, self.s_interval) if self.stiction and self.s else None),
             ("j, OP units", _show.estimate(self.j, self.j_interval) if self.stiction and self.j is not None else None),
             ("detection limit", None if self.s_detectable is None else _show.number(self.s_detectable)),
@@ -235,7 +239,7 @@ def assessment_of(document: str, said: str, record: Record | None = None) -> Ass
             "time_constants_s": tuple(process["time_constants_s"]),
             **{name: _interval(process[name]) for name in ("gain_interval", "dead_time_interval_s")},
         })  # fmt: skip
-    plain = ("verdict", "stiction", "p_stiction", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable")
+    plain = ("verdict", "stiction", "p_stiction", "p_calibrated", "prevalence", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable")
     more = ("stiction_index", "severity_by_range", "valve_model", "reason")
     intervals = ("s_interval", "j_interval", "fs_interval", "fd_interval")
     same: dict[str, Any] = {name: d[name] for name in plain + more}
@@ -286,8 +290,8 @@ def as_columns(results: Iterable[Assessment | Failure]) -> dict[str, list[Any]]:
     ['3 usable samples']
     """
     names = (
-        "loop", "verdict", "stiction", "p_stiction", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable",
-        "stiction_index", "severity_by_range", "oscillating", "period_s", "valve_model", "reason", "words", "error",
+        "loop", "verdict", "stiction", "p_stiction", "p_calibrated", "prevalence", "confidence", "grade", "s", "j", "fs", "fd",
+        "s_detectable", "stiction_index", "severity_by_range", "oscillating", "period_s", "valve_model", "reason", "words", "error",
     )  # fmt: skip
     rows = list(results)
     columns: dict[str, list[Any]] = {name: [getattr(row, name, None) for row in rows] for name in names}
@@ -300,7 +304,8 @@ def as_columns(results: Iterable[Assessment | Failure]) -> dict[str, list[Any]]:
 
 
 _NUMBERS = (
-    "p_stiction", "confidence", "s", "j", "fs", "fd", "s_detectable", "stiction_index", "period_s", "s_low", "s_high",
+    "p_stiction", "p_calibrated", "prevalence", "confidence", "s", "j", "fs", "fd", "s_detectable", "stiction_index",
+    "period_s", "s_low", "s_high",
 )  # fmt: skip
 One = TypeVar("One", bound="Assessment | Failure")
 

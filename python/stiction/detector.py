@@ -35,6 +35,7 @@ class StictionDetector(_Base):  # type: ignore[misc]
     NaN is a missing value; rows of different length are filled with NaN at their end.
 
     ts_s: seconds between samples; None for tables with times. threshold: from this probability on, a valve sticks.
+    Probabilities are `p_calibrated`: those of a set in which half of the valves stick.
     threads: as for `assess_many`, like the other arguments, which apply to every loop.
 
     `fit` only notes the shape of X: the classifier is that of the package, and y is not used.
@@ -106,8 +107,8 @@ class StictionDetector(_Base):  # type: ignore[misc]
 
     def predict(self, X: Loops) -> NDArray[np.int64]:
         """1 where the valve sticks, 0 where no stiction was found, -1 where the record allows no answer."""
-        p = self._probabilities(self.assess(X))[:, 1]
-        return np.where(np.isnan(p), -1, p >= threshold_of(self.threshold)).astype(np.int64)
+        threshold = threshold_of(self.threshold)
+        return np.array([label(one, threshold) for one in self.assess(X)], dtype=np.int64)
 
     def fit_predict(self, X: Loops, y: ArrayLike | None = None) -> NDArray[np.int64]:
         """`fit`, then `predict`."""
@@ -161,10 +162,18 @@ class StictionDetector(_Base):  # type: ignore[misc]
 
 
 def probability(result: Assessment | Failure) -> float:
-    """The probability that the valve sticks; NaN where there is no answer."""
-    if isinstance(result, Failure) or result.stiction is None or result.p_stiction is None:
+    """The calibrated probability that the valve sticks; NaN where there is none."""
+    if isinstance(result, Failure) or result.stiction is None or result.p_calibrated is None:
         return np.nan
-    return result.p_stiction
+    return result.p_calibrated
+
+
+def label(result: Assessment | Failure, threshold: float) -> int:
+    """1 where the valve sticks, 0 where no stiction was found, -1 where there is no answer."""
+    if isinstance(result, Failure) or result.stiction is None:
+        return -1
+    # A screened loop has no probability.
+    return int(result.p_calibrated is not None and result.p_calibrated >= threshold)
 
 
 def threshold_of(value: Any) -> float:

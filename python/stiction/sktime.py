@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _arrays, _show, _tables, assess_windows
-from .detector import LEAST_SAMPLES, probability, threshold_of
+from .detector import LEAST_SAMPLES, label, probability, threshold_of
 
 _INSTALL = ("stiction.sktime", "'stiction[sktime]'")
 _Base: Any = _show.needed("sktime.detection.base", *_INSTALL).BaseDetector
@@ -24,8 +24,8 @@ class StictionDetector(_Base):  # type: ignore[misc]
     Labels are 1 where the valve sticks, 0 where no stiction was found, -1 where there is no answer. The windows are those
     of `assess_windows`; samples that were not yet in the window before have the label of the window.
 
-    ts_s: seconds between samples, without such an index. threshold: from this probability on, a valve sticks.
-    name, hop_s, max_window_s, config, threads: as for `assess_windows`.
+    ts_s: seconds between samples, without such an index. threshold: from this probability (`p_calibrated`) on, a valve
+    sticks. name, hop_s, max_window_s, config, threads: as for `assess_windows`.
 
     `fit` learns nothing, and y is not used.
 
@@ -71,27 +71,27 @@ class StictionDetector(_Base):  # type: ignore[misc]
         super().__init__()
 
     def _predict(self, X: Any) -> Any:
-        p = self._probabilities(X)
-        labels = np.where(np.isnan(p), -1, p >= threshold_of(self.threshold)).astype(np.int64)
+        _, labels = self._judged(X)
         starts = _starts(labels)
         return _pandas.DataFrame({"ilocs": _intervals(starts, len(labels)), "labels": labels[starts]})
 
     def _predict_scores(self, X: Any) -> Any:
         """The mean probability of each segment of `predict`."""
-        p = self._probabilities(X)
-        starts = _starts(np.where(np.isnan(p), -1, p >= threshold_of(self.threshold)))
+        p, labels = self._judged(X)
+        starts = _starts(labels)
         return _pandas.DataFrame({"scores": [float(np.mean(part)) for part in np.split(p, starts[1:])]})
 
     def _transform_scores(self, X: Any) -> Any:
-        """The probability that the valve sticks at each sample; NaN where there is no answer."""
-        return _pandas.DataFrame({"scores": self._probabilities(X)}, index=X.index)
+        """The calibrated probability that the valve sticks at each sample; NaN where there is none."""
+        return _pandas.DataFrame({"scores": self._judged(X)[0]}, index=X.index)
 
-    def _probabilities(self, X: Any) -> NDArray[np.float64]:
-        """The probability of the first window that holds each sample."""
-        p = np.full(len(X), np.nan)
+    def _judged(self, X: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Probability and label of the first window that holds each sample."""
+        p, labels = np.full(len(X), np.nan), np.full(len(X), -1)
+        threshold = threshold_of(self.threshold)
         loop, stamps = self._loop(X)
         if len(X) < LEAST_SAMPLES:
-            return p
+            return p, labels
         windows = assess_windows(
             loop, ts_s=None if "t" in loop else self.ts_s, name=self.name, hop_s=self.hop_s,
             max_window_s=self.max_window_s, config=self.config, threads=self.threads,
@@ -100,9 +100,10 @@ class StictionDetector(_Base):  # type: ignore[misc]
         for one in windows:
             first = int(np.searchsorted(stamps, one.window[0], side="left"))
             last = int(np.searchsorted(stamps, one.window[1], side="right"))
-            p[max(first, judged) : last] = probability(one)
+            held = slice(max(first, judged), last)
+            p[held], labels[held] = probability(one), label(one, threshold)
             judged = max(judged, last)
-        return p
+        return p, labels
 
     def _loop(self, X: Any) -> tuple[dict[str, Any], NDArray[Any]]:
         """Columns of the loop, and the times of its rows."""

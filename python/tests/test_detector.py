@@ -51,7 +51,7 @@ def test_it_predicts_what_assess_says(loops: tuple[Any, Any]) -> None:
     assert detector.predict(rows).tolist() == [1, 1, 0, -1]
     p = detector.predict_proba(rows)
     one = stiction.assess(rows[0, :400], rows[0, 400:], 1.0, name="loop 0", **QUICK)
-    assert p[0, 1] == one.p_stiction and p[0].sum() == 1 and np.isnan(p[3]).all()
+    assert p[0, 1] == one.p_calibrated and p[0].sum() == 1 and np.isnan(p[3]).all()
     assert detector.score(rows, truth) == 0.75 and detector.score(rows[:3], truth[:3] > 0) == 1.0
     assert detector.score(rows, truth, sample_weight=[1, 1, 1, 0]) == 1.0
     # No row depends on another one, nor on the order.

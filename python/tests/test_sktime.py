@@ -42,7 +42,7 @@ def test_segments_are_those_of_the_windows(table: pd.DataFrame) -> None:
     stamps = table.index.to_numpy()
     for one in windows[1:]:
         last = labels[np.searchsorted(stamps, one.window[1])]
-        assert last == (-1 if one.stiction is None else int(one.p_stiction >= 0.5)), one
+        assert last == (-1 if one.stiction is None else int((one.p_calibrated or 0.0) >= 0.5)), one
     segments = detector.predict(table)
     assert segments["ilocs"].iloc[0].left == 0 and segments["ilocs"].iloc[-1].right == len(table)
     assert {0, 1} <= set(segments["labels"]) and (np.diff(segments["labels"]) != 0).all()

@@ -92,7 +92,7 @@ def test_numbers_of_any_kind_are_windows_too(sticking: stiction.Simulation) -> N
     plain = [
         {
             "start_ns": one.window[0].astype(np.int64), "end_ns": one.window[1].astype(np.int64), "grade": one.grade,
-            "stiction": one.stiction, "p_stiction": np.float64(one.p_stiction or np.nan),
+            "stiction": one.stiction, "p_calibrated": np.float64(one.p_calibrated or np.nan),
             "s": np.float64(one.s or np.nan), "s_interval": np.array(one.s_interval or (np.nan, np.nan)),
             "j": one.j, "j_interval": one.j_interval, "j_identifiable": one.to_dict()["j_identifiable"],
         }

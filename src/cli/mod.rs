@@ -129,6 +129,18 @@ pub fn say(line: impl Display) -> std::io::Result<()> {
     writeln!(std::io::stdout().lock(), "{}", plain(&line.to_string()))
 }
 
+/// Names the build below the figures that a command measured of it; documents for programs are left alone.
+///
+/// # Errors
+/// The command failed; stdout is closed.
+pub fn of_build(measured: anyhow::Result<Outcome>, format: Format, build: &str) -> anyhow::Result<Outcome> {
+    let outcome = measured?;
+    if format == Format::Text {
+        say(build)?;
+    }
+    Ok(outcome)
+}
+
 /// Writes results to a file, or prints them where none is named.
 ///
 /// # Errors

@@ -19,13 +19,29 @@ pub fn rising(text: &str) -> Result<[f64; 2], String> {
     if range[1] > range[0] { Ok(range) } else { Err("the upper end must be above the lower".to_owned()) }
 }
 
+/// A share between 0 and 1, neither of which is one.
+///
+/// # Errors
+/// It is no number, or outside.
+pub fn share(text: &str) -> Result<f64, String> {
+    let share = text.trim().parse::<f64>().map_err(|_| format!("{text:?} is not a number"))?;
+    let message = || format!("{text} is not a share; write one from 0.001 to 0.999, such as 0.1 for one in ten");
+    (0.001..=0.999).contains(&share).then_some(share).ok_or_else(message)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::rising;
+    use super::{rising, share};
 
     #[test]
     fn two_rising_numbers_are_read_or_refused() {
         assert_eq!(rising("0, 100"), Ok([0.0, 100.0]));
         assert!(rising("5,5").is_err() && rising("5").is_err() && rising("a,b").is_err());
+    }
+
+    #[test]
+    fn a_share_is_neither_nothing_nor_all() {
+        assert_eq!(share("0.1"), Ok(0.1));
+        assert!(["0", "1", "30", "a", "nan"].iter().all(|text| share(text).is_err()));
     }
 }

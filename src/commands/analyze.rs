@@ -9,7 +9,7 @@ use indicatif::ProgressBar;
 
 use crate::cli::reading::{ReadArgs, config_of, model_file, named};
 use crate::cli::selection::{Selection, points, told, warn};
-use crate::cli::values::rising;
+use crate::cli::values::{rising, share};
 use crate::cli::{Format, Outcome, UsageError, in_order_on_all_cores, note, say, stop};
 use crate::commands::analyze_report::ReportFile;
 use crate::commands::fleet::{MANY, Summary};
@@ -69,6 +69,9 @@ pub struct Args {
     /// Range of OP, so that sizes are given in % of travel.
     #[arg(long, value_name = "LO,HI", value_parser = rising, allow_hyphen_values = true, help_heading = "Model")]
     pub op_range: Option<[f64; 2]>,
+    /// Share of such loops that stick, 0.001 to 0.999: p assumes it. Verdicts do not depend on it [default: 0.3].
+    #[arg(long, value_name = "SHARE", value_parser = share, help_heading = "Model")]
+    pub prevalence: Option<f64>,
     /// Also run a model from elsewhere over the record and say how well it follows: an estimate, a gap document's
     /// model, or a plain one (JSON). It changes nothing else.
     #[arg(long, value_name = "FILE.json", help_heading = "Model")]
@@ -416,6 +419,7 @@ fn scored(path: &Path, record: &Record, period_points: Option<f64>) -> anyhow::R
 const fn asked(args: &Args) -> FitOverrides {
     FitOverrides {
         op_range: args.op_range,
+        prevalence: args.prevalence,
         fineness_pct: args.solver.fineness,
         seed: args.solver.seed,
         delay: args.delay.0,

@@ -35,7 +35,8 @@ const USUAL: &str = "expectations.toml";
     map, tz how an export is read, as the options of the same name
 and what the newest window and the alarm should be then:
     verdict, reason                              a word of the estimate
-    s, j, p_stiction, stiction_index, period_s   [LOWEST, HIGHEST]
+    s, j, p_stiction, p_calibrated,
+    stiction_index, period_s                     [LOWEST, HIGHEST]
     alarm                                        true if active
 Each loop is judged by itself: groups of loops are not compared.
 With --write, the further arguments are data instead, and a case is written for each loop: what CONFIG reports on it now.

@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use stiction::core::detect::Indicator;
 use stiction::core::units::Moment;
+use stiction::core::verdict::prevalence::CALIBRATED_FOR;
 use stiction::core::verdict::{Assessment, ESTIMATE_SCHEMA, EstimateDocument, Oscillation, Window, features, reasons};
 use stiction_engine::alarm::{ALARM_SCHEMA, AlarmDocument, Figures, Marks};
 
@@ -77,6 +78,9 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
         stiction: read(d, "stiction"),
         reason: word(d, "reason", reasons()),
         p_stiction: read(d, "p_stiction"),
+        // Before the prevalence documents had the calibrated one alone.
+        p_calibrated: read(d, "p_calibrated").or_else(|| read(d, "p_stiction")),
+        prevalence: read(d, "prevalence").unwrap_or(CALIBRATED_FOR),
         confidence: read(d, "confidence"),
         gates: each(d, "gates"),
         implausible: each(d, "implausible"),

@@ -74,7 +74,7 @@ fn the_most_urgent_loop_comes_first() {
     let mut r = report(&["well", "blocked", "small", "large"]);
     for (k, p, s) in [(0, 0.1, 9.0), (2, 0.991, 1.0), (3, 0.99, 5.0)] {
         let a = &mut r.loops[k].document.assessment;
-        (a.p_stiction, a.s) = (Some(p), Some(s));
+        (a.p_stiction, a.p_calibrated, a.s) = (Some(p), Some(p), Some(s));
         a.verdict = if p > 0.5 { Verdict::Stiction } else { Verdict::CauseUnknown };
         a.stiction = Some(p > 0.5);
     }

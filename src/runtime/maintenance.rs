@@ -52,7 +52,7 @@ pub struct Work {
     pub criticality: Option<u8>,
     /// Whether its alarm is active.
     pub alarm: bool,
-    /// Probability that the valve sticks, of the newest window with an answer.
+    /// Probability that the valve sticks, by the configured prevalence, of the newest window with an answer.
     pub p_stiction: Option<f64>,
     /// The same in words.
     pub probability: Option<String>,

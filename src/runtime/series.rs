@@ -66,7 +66,8 @@ impl LoopSeries {
         registry.register("loop_alarm_set_aside", help, self.set_aside.clone());
         let help = "Priority of the active alarm: 1 low, 2 medium, 3 high, 4 urgent; 0 none";
         registry.register("loop_alarm_priority", help, self.priority.clone());
-        let help = "Probability that the valve sticks, of the newest window that could answer";
+        let help =
+            "Probability that the valve sticks, by the configured prevalence, of the newest window that could answer";
         registry.register("loop_stiction_probability", help, self.probability.clone());
         let help = "Dead band plus stick band s of the newest window with a fit, in units of OP";
         registry.register("loop_stiction_size", help, self.size.clone());
@@ -211,6 +212,8 @@ const fn rank(priority: Option<Priority>) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use stiction::core::record::Record;
+    use stiction::core::verdict::{AssessParams, SCREENED, assess};
     use stiction_engine::alarm::Alarm;
 
     #[test]
@@ -223,6 +226,12 @@ mod tests {
         for name in ["A", "B", "N", "B"] {
             board.age(&series, name, &place, Some(2.5));
         }
+        let record = Record::uniform(1.0, vec![1.0; 40], vec![1.0; 40]);
+        let found = assess(&record, &AssessParams::default());
+        let screened = Assessment { stiction: Some(false), reason: Some(SCREENED), ..found.clone() };
+        for (name, a) in [("A", &Assessment { p_stiction: Some(0.4), ..screened.clone() }), ("N", &screened)] {
+            board.estimate(&series, name, &place, a);
+        }
         let document = Alarm::default().restored("N");
         board.alarm(&series, "N", &place, &AlarmDocument { active: true, state: State::Unack, ..document }.at(&place));
         let mut registry = Registry::with_prefix("stictiond");
@@ -232,6 +241,7 @@ mod tests {
         for line in [
             "stictiond_loop_data_age_seconds{loop=\"A\"} 2.5",
             "stictiond_loop_alarm_active{loop=\"A\"} 0",
+            "stictiond_loop_stiction_probability{loop=\"A\"} 0.4",
             "stictiond_loop_alarm_active{loop=\"N\"} 1",
             "stictiond_loop_alarm_priority{loop=\"N\"} 1",
             "stictiond_loops_without_series 1",
@@ -240,6 +250,7 @@ mod tests {
             assert!(told.contains(line), "{line}\n{told}");
         }
         assert!(!told.contains("loop=\"B\""), "{told}");
+        assert!(!told.contains("loop_stiction_probability{loop=\"N\"}"), "a screened loop has no probability: {told}");
         let off = Config::parse("[site]\nprefix = \"p\"\n[web]\nloop_series = false\n").unwrap();
         assert!(LoopMetrics::new(&off).is_none());
     }

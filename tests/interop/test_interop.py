@@ -70,7 +70,7 @@ mode = "gateway/opc/PIC103.MODE"
 
 ESTIMATE = {
     "schema": str, "loop": str, "window": dict, "oscillation": dict, "verdict": str, "contributing": list,
-    "stiction": (bool, None), "p_stiction": (float, None), "confidence": (float, None), "gates": list,
+    "stiction": (bool, None), "p_stiction": (float, None), "p_calibrated": (float, None), "prevalence": float, "confidence": (float, None), "gates": list,
     "grade": (str, None), "fs": (float, None), "fd": (float, None), "s": (float, None), "j": (float, None),
     "fs_interval": (list, None), "fd_interval": (list, None), "s_interval": (list, None), "j_interval": (list, None),
     "interval_level": (float, None), "j_identifiable": (bool, None), "s_detectable": (float, None),
@@ -91,7 +91,7 @@ ALARM = {
     "schema": str, "loop": str, "alarm": str, "event_id": str, "occurrence_id": (str, None), "event": str, "state": str,
     "active": bool, "priority": (str, None), "criticality": (int, None), "area": (str, None), "equipment": (str, None),
     "ne107": str, "class": (str, None), "unit": str, "verdict": (str, None), "s": (float, None),
-    "s_interval": (list, None), "s_limit": (float, None), "p": (float, None), "size": (str, None), "limit": (str, None), "probability": (str, None), "stiction_index": (float, None),
+    "s_interval": (list, None), "s_limit": (float, None), "p": (float, None), "p_calibrated": (float, None), "prevalence": (float, None), "size": (str, None), "limit": (str, None), "probability": (str, None), "stiction_index": (float, None),
     "window": (dict, None), "why": (str, None), "what_to_do": (str, None), "since_ns": (int, None),
     "since": (str, None), "changed_ns": int, "changed": str, "by": (str, None), "detail": str,
     "acknowledged": (dict, None), "shelved": (dict, None), "suppressed": (dict, None), "out_of_service": (dict, None),

@@ -36,6 +36,7 @@ fn sticking(end_ns: i64, period_s: f64) -> Assessment {
         verdict: Verdict::Stiction,
         stiction: Some(true),
         p_stiction: Some(0.8),
+        p_calibrated: Some(0.8),
         s: Some(2.0),
         grade: Some('B'),
         counted_by: Some(CountedBy::Periods),
@@ -51,6 +52,7 @@ fn group(p_follower: f64) -> GroupDocument {
         p_source,
         p_alone: Some(0.8),
         p_stiction: Some(p),
+        p_calibrated: None,
         cause: (p_source < 0.5).then(|| "driven by SOURCE, p 0.95".to_owned()),
         masked: p_source < 0.5,
     };

@@ -6,6 +6,7 @@
 
 mod alarm_model;
 mod answers;
+mod claims;
 mod config;
 mod engine;
 mod engine_gaps;

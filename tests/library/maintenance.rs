@@ -17,7 +17,7 @@ fn assessment(verdict: Verdict, p: f64) -> Assessment {
     let oscillation =
         Oscillation { oscillating: true, period_s: None, periods: None, samples_per_period: None, regularity: None };
     let mut a = Assessment::empty(window, oscillation);
-    (a.verdict, a.stiction, a.p_stiction) = (verdict, verdict.stiction(), Some(p));
+    (a.verdict, a.stiction, a.p_stiction, a.p_calibrated) = (verdict, verdict.stiction(), Some(p), Some(p));
     (a.grade, a.s) = (Some('A'), Some(2.0));
     a
 }
@@ -95,7 +95,8 @@ fn an_alarm_whose_newest_window_finds_nothing_stays_in_the_list_and_no_valve_is_
     let alarm =
         AlarmDocument { active: true, what_to_do: Some("Do a test.".to_owned()), ..Alarm::default().restored("L") };
     let mut unseen = with(candidate("L", None), |a| {
-        (a.verdict, a.stiction, a.p_stiction) = (Verdict::CauseUnknown, Some(false), Some(0.1));
+        (a.verdict, a.stiction, a.p_stiction, a.p_calibrated) =
+            (Verdict::CauseUnknown, Some(false), Some(0.1), Some(0.1));
     });
     assert!(simulable(&unseen).is_none());
     unseen.alarm = Some(Arc::new(alarm));

@@ -22,9 +22,9 @@ class Bench:
 
     get = Daemon.get
 
-    def __init__(self, folder):
+    def __init__(self, folder, recording=RECORDING):
         self.log = folder / "log"
-        arguments = [PROGRAM, "workbench", RECORDING, "--no-open", "--listen", "127.0.0.1:0"]
+        arguments = [PROGRAM, "workbench", recording, "--no-open", "--listen", "127.0.0.1:0"]
         with self.log.open("w") as log:
             self.process = subprocess.Popen(arguments, cwd=folder, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         found = eventually("the workbench", lambda: re.search(r"http://(127\.0\.0\.1:\d+)", self.log.read_text()), 30)

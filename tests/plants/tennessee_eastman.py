@@ -198,7 +198,7 @@ class Table:
 
 
 def is_called(estimate, least):
-    return estimate["stiction"] is True and estimate["p_stiction"] >= least
+    return estimate["stiction"] is True and estimate["p_calibrated"] >= least
 
 
 def score(table, case, reversals, estimates, groups):
@@ -224,7 +224,7 @@ def score(table, case, reversals, estimates, groups):
 def describe(case, reversals, estimates, groups):
     print(f"\n{case.seed}: {case.text()}" + (f", {reversals} reversals" if case.sticking else ""))
     for name, e in estimates.items():
-        p = e["p_stiction"] or 0.0
+        p = e["p_calibrated"] or 0.0
         if p >= 0.5 or name == case.sticking:
             print(f"  {name:<24} {e['verdict']:<14} p {p:.3f}")
     for group in groups:

@@ -5,7 +5,7 @@ use std::fs;
 
 use crate::common::program::stictiond;
 
-const SHIPPED: [&str; 3] = ["sticking", "four-loops", "awkward"];
+const SHIPPED: [&str; 4] = ["sticking", "four-loops", "awkward", "physical"];
 
 #[test]
 fn every_shipped_recording_is_made_again_and_verifies() {

@@ -21,10 +21,11 @@ use stiction::core::units::{parse_time, significant};
 use stiction::core::verdict::{Verdict, reasons};
 
 /// Keys of numbers that an expectation bounds, and where an estimate has them.
-const NUMBERS: [(&str, &str); 5] = [
+const NUMBERS: [(&str, &str); 6] = [
     ("s", "/s"),
     ("j", "/j"),
     ("p_stiction", "/p_stiction"),
+    ("p_calibrated", "/p_calibrated"),
     ("stiction_index", "/stiction_index"),
     ("period_s", "/oscillation/period_s"),
 ];

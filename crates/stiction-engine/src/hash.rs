@@ -1,9 +1,17 @@
 //! Short names for what is the same: of configurations, events and runs.
 
 use sha2::{Digest, Sha256};
+use stiction::core::{CALIBRATIONS, VERSION};
 
 /// The first 8 bytes of a SHA-256, as 16 hex digits.
 #[must_use]
 pub fn short_hash(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().take(8).map(|b| format!("{b:02x}")).collect()
+}
+
+/// The version, and short hashes of all that was fitted to data: the last line of commands that measure this build.
+#[must_use]
+pub fn provenance() -> String {
+    let hashes = CALIBRATIONS.map(|(name, files)| format!("{name} {}", &short_hash(files.concat().as_bytes())[..8]));
+    format!("build: stictiond {VERSION}, {}", hashes.join(", "))
 }

@@ -28,4 +28,4 @@ mod hash;
 pub mod shard;
 pub mod status;
 
-pub use hash::short_hash;
+pub use hash::{provenance, short_hash};

@@ -25,6 +25,8 @@ fn fields(kind: Kind) -> Fields {
         Kind::Estimate => Fields {
             numbers: &[
                 "p_stiction",
+                "p_calibrated",
+                "prevalence",
                 "confidence",
                 "fs",
                 "fd",
@@ -56,7 +58,7 @@ fn fields(kind: Kind) -> Fields {
         },
         Kind::Alarm => Fields {
             integers: &["since_ns", "changed_ns", "criticality"],
-            numbers: &["s", "s_limit", "p", "stiction_index"],
+            numbers: &["s", "s_limit", "p", "p_calibrated", "prevalence", "stiction_index"],
             texts: &[
                 "schema",
                 "loop",

@@ -12,6 +12,7 @@ use stiction::core::plantwide::{
     group_figures, member_figures, pair_figures, source_figures,
 };
 use stiction::core::units::ns_from_s;
+use stiction::core::verdict::prevalence::CALIBRATED_FOR;
 use stiction::core::verdict::{AssessParams, Assessment, assess};
 
 /// How the rules are fitted.
@@ -59,7 +60,7 @@ impl Judged {
     /// Draws a plant and judges each of its loops alone, as `analyze` does.
     #[must_use]
     pub fn new(half: Half, seed: u64, difficulty: Difficulty) -> Self {
-        let params = AssessParams { always_fit: true, ..AssessParams::default() };
+        let params = AssessParams { always_fit: true, prevalence: CALIBRATED_FOR, ..AssessParams::default() };
         let loops = plant(half.name(), seed, difficulty);
         let assessments = loops.iter().map(|l| assess(&l.record, &params)).collect();
         Self { loops, assessments, seed, difficulty }

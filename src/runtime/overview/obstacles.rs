@@ -11,7 +11,7 @@ use super::{Entry, Loops, Overview, SharePoint};
 use stiction::core::people;
 use stiction::core::units::{duration, ms_from_ns};
 use stiction::core::verdict::action::better_data;
-use stiction::core::verdict::{AssessParams, Assessment, Gate, Verdict, words};
+use stiction::core::verdict::{AssessParams, Assessment, Gate, NO_VALVE, Verdict, words};
 
 /// Kind of an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]
@@ -133,6 +133,8 @@ pub struct Since {
 fn limit_of(a: &Assessment) -> Option<Limit> {
     let met = |gate: Gate| a.gates.contains(&gate);
     let (kind, name) = match a.reason.filter(|_| a.stiction.is_none()) {
+        // Nobody wants it judged.
+        Some(NO_VALVE) => return None,
         Some(name @ ("frozen_pv" | "frozen_op" | "stuck_signal" | "no_response")) => (ObstacleKind::Frozen, name),
         Some(name @ "swapped") => (ObstacleKind::Swapped, name),
         Some(name @ "saturated") => (ObstacleKind::AtLimit, name),

@@ -10,7 +10,8 @@ use stiction_lab::truth::fixture::group::driven_group;
 fn estimate(name: &str, end_ns: i64, s: Option<f64>, verdict: Verdict) -> Arc<EstimateDocument> {
     let mut a = assess(&Record::uniform(1.0, vec![1.0; 40], vec![1.0; 40]), &AssessParams::default());
     (a.window.end_ns, a.s, a.verdict, a.stiction) = (end_ns, s, verdict, verdict.stiction());
-    (a.gates, a.reason, a.p_stiction) = (Vec::new(), None, Some(if a.stiction == Some(true) { 0.8 } else { 0.1 }));
+    let p = Some(if a.stiction == Some(true) { 0.8 } else { 0.1 });
+    (a.gates, a.reason, a.p_stiction, a.p_calibrated) = (Vec::new(), None, p, p);
     Arc::new(EstimateDocument::new(name, "hash", a))
 }
 

@@ -7,7 +7,7 @@ import * as format from "./format.js";
 import { on, store } from "./store.js";
 import { opUnit } from "./words.js";
 
-const KINDS = { repaired: "repaired", better: "better since", worse: "worse since" };
+const KINDS = { repaired: "no longer detected", better: "better since", worse: "worse since" };
 /** Pause between two looks at the recordings that nobody asked for, ms. */
 const CALM_MS = 30_000;
 const PARTS = ["s", "fs", "fd"];

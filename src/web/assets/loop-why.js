@@ -19,11 +19,14 @@ function indicators(list, estimate) {
   const vote = (i) => (i.vote === null || !i.contribution ? "not used" : i.vote ? "to sticking" : "away from it");
   const rows = sorted.map((i) => h("tr", null, h("th", { scope: "row" }, plain(i.name), h("small", { class: "soft asks" }, format.sentence(i.words))), h("td", { class: "number" }, format.number(i.score)), h("td", { class: "nowrap says" }, vote(i)), h("td", { class: "number" }, signed(i.contribution ?? 0)), h("td", null, bar(i.contribution ?? 0, most))));
   const { base, logit } = estimate?.explanation ?? {};
-  const sum = logit === undefined ? null : h("p", { class: "soft" }, `The contributions are log-odds. They start from ${signed(base)} and add up to ${signed(logit)}, which is the probability ${format.probability(estimate.p_stiction)}. `, estimate.explanation.cuts ? `Decision threshold ${format.probability(estimate.explanation.cuts.called)}; a window counts towards an alarm at ${format.probability(estimate.explanation.cuts.alarm)} or more.` : "");
+  const sum = logit === undefined ? null : h("p", { class: "soft" }, `The contributions are log-odds. They start from ${signed(base)} and add up to ${signed(logit)}, which is the probability ${format.probability(estimate.p_calibrated ?? estimate.p_stiction)} where half of the valves stick. ${assumed(estimate)}`, estimate.explanation.cuts ? `Decision threshold ${format.probability(estimate.explanation.cuts.called)}; a window counts towards an alarm at ${format.probability(estimate.explanation.cuts.alarm)} or more.` : "");
   return h("details", null, h("summary", null, "Indicators and log-odds"), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Indicators" }, h("table", { class: "table indicators" },
     h("thead", null, h("tr", null, h("th", { scope: "col" }, "indicator"), h("th", { scope: "col", class: "number" }, "score"), h("th", { scope: "col", class: "says" }, "points"), h("th", { scope: "col", class: "number" }, "log odds"), h("td", null))),
     h("tbody", null, rows))), sum);
 }
+
+/** What the shown probability assumes. Documents of earlier builds have the calibrated one alone. */
+const assumed = (e) => (e.prevalence === undefined ? "" : `Where ${format.percent(e.prevalence)} stick, as is assumed for this plant, it is ${format.probability(e.p_stiction)}. `);
 
 function model(e, row) {
   const p = e?.process;

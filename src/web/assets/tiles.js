@@ -28,7 +28,7 @@ function inside(row) {
     h("span", { class: "unseen" }, spoken(row)),
     h("span", { class: "tile-head", ...seen }, symbol(key), h("b", { class: "tile-name" }, row.name),
       row.unacknowledged ? h("span", { class: "flag" }, "unack") : null,
-      row.verdict ? h("span", { class: "grade", title: row.grade ? `grade ${row.grade}` : "not graded: only a finding of stiction is" }, row.grade ?? "–") : null),
+      row.verdict ? h("span", { class: "grade", title: row.grade ? `grade ${row.grade}: how well the finding is supported` : "not graded: only a finding of stiction is" }, row.grade ?? "–") : null),
     h("span", { class: "tile-words", title: wordsOf(row), ...seen }, wordsOf(row)),
     h("span", { class: "tile-numbers", ...seen }, numbers(row)),
     h("span", { class: "tile-foot", ...seen }, row.recent?.length > 1 ? [h("span", { title: "probability that the valve sticks over the last windows, 0 to 1" }, "p"), spark(row.recent)] : null,

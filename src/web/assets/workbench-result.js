@@ -40,7 +40,7 @@ function rows(format, units) {
   };
   const between = ([low, high]) => `${n(low)} to ${n(high)}${op ? ` ${op}` : ""}`;
   return [
-    ["Stiction", "p", (d) => d.probability ?? format.probability(d.p_stiction)],
+    ["Stiction", "p where the configured share of loops sticks", (d) => d.probability ?? format.probability(d.p_stiction)],
     ["Grade", "of a finding: A surest", (d) => d.grade ?? "–"],
     ["Deadband + stickband, s", "fs + fd", (d) => interval(format, d.s, d.s_interval, op)],
     ["Slip jump, j", "fs − fd", (d) => (d.j_identifiable === false ? `${interval(format, d.j, d.j_interval, op)}, not identifiable` : interval(format, d.j, d.j_interval, op))],

@@ -365,6 +365,7 @@ impl Task {
         let (asked, defaults) = (&self.request, FitOverrides::default());
         FitOverrides {
             op_range: asked.op_range,
+            prevalence: None,
             fineness_pct: asked.fineness.unwrap_or(defaults.fineness_pct),
             seed: asked.seed.unwrap_or(defaults.seed),
             delay: self.delay,

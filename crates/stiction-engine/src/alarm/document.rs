@@ -151,8 +151,12 @@ pub struct Figures {
     pub s_interval: Option<[f64; 2]>,
     /// The s from which on that window counts for the alarm.
     pub s_limit: Option<f64>,
-    /// Probability that the valve sticks, 0 to 1.
+    /// Probability that the valve sticks, for the configured prevalence, 0 to 1.
     pub p: Option<f64>,
+    /// The same where half of the valves stick, and the share that `p` assumes.
+    pub p_calibrated: Option<f64>,
+    /// See `p_calibrated`.
+    pub prevalence: Option<f64>,
     /// s with its interval, its limit and p in words, in % of travel where OP's range is known; s where stiction was found.
     pub size: Option<String>,
     /// See `size`.
@@ -175,9 +179,11 @@ impl Figures {
             s_interval: a.s_interval,
             s_limit,
             p: a.p_stiction,
+            p_calibrated: a.p_calibrated,
+            prevalence: Some(a.prevalence),
             size: answer::size(a),
             limit: s_limit.map(|limit| Scale::of(a).told(limit)),
-            probability: a.p_stiction.map(|_| words::seen(a)),
+            probability: a.stiction.map(|_| words::seen(a)),
             stiction_index: a.stiction_index,
             window: Some(window),
         }

@@ -20,10 +20,10 @@ pub use why::why_not_active;
 
 use crate::status::Sign;
 use document::{Occurrence, event_id, occurrence_id};
-use stiction::core::units::format_rfc3339;
+use stiction::core::units::{format_rfc3339, probability};
 use stiction::core::verdict::action::Action;
 use stiction::core::verdict::answer::Scale;
-use stiction::core::verdict::{Assessment, words};
+use stiction::core::verdict::{Assessment, NO_VALVE, words};
 
 /// Share of the limit below which s counts towards clearing.
 const CLEAR_SHARE: f64 = 0.8;
@@ -88,6 +88,8 @@ impl Evidence {
     pub fn of(assessment: &Assessment, params: &AlarmParams) -> Self {
         let limit = s_limit(assessment, params).unwrap_or(0.0);
         match (assessment.stiction, assessment.s) {
+            // An alarm from before the declaration clears.
+            (None, _) if assessment.reason == Some(NO_VALVE) => Self::Against,
             (None, _) => Self::None,
             _ if assessment.counted_by.is_none() || no_alarm(assessment).is_some() => Self::None,
             (Some(true), Some(s)) if s >= limit => Self::For,
@@ -101,7 +103,7 @@ impl Evidence {
 #[must_use]
 pub fn no_alarm(a: &Assessment) -> Option<&'static str> {
     match (a.stiction?, a.s) {
-        (true, _) if !is_sure(a) => Some("p is below the alarm threshold"),
+        (true, _) if !is_sure(a) => Some("its calibrated p is below the alarm threshold"),
         (true, None) => Some("the size is not known"),
         _ => None,
     }
@@ -109,7 +111,7 @@ pub fn no_alarm(a: &Assessment) -> Option<&'static str> {
 
 /// Whether p, which a group may have lowered, is high enough to count towards an alarm.
 fn is_sure(a: &Assessment) -> bool {
-    a.explanation.is_none_or(|opinion| a.p_stiction.unwrap_or_else(|| opinion.p()) >= opinion.cuts.alarm)
+    a.explanation.is_none_or(|opinion| a.p_calibrated.unwrap_or_else(|| opinion.p()) >= opinion.cuts.alarm)
 }
 
 /// The s above which a window counts, OP units: the smaller of the limits that are set, if any. A share of a quiet loop's span
@@ -469,7 +471,8 @@ impl Alarm {
 /// The claim and the size in words.
 fn size(a: &Assessment) -> String {
     let size = words::size(a).unwrap_or_else(|| "unknown size".to_owned());
-    format!("{}: {size}", words::claim(a))
+    let p = a.p_stiction.map_or_else(String::new, |p| format!("; p {}, {}", probability(p), words::assumed(a)));
+    format!("{}: {size}{p}", words::claim(a))
 }
 
 #[cfg(test)]

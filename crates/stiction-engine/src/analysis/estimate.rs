@@ -83,6 +83,8 @@ pub struct FitOverrides {
     pub delay: DelayChoice,
     /// OP's range, `[low, high]`; `None` keeps the loop's own.
     pub op_range: Option<[f64; 2]>,
+    /// Share of such loops that sticks; `None` keeps the loop's own.
+    pub prevalence: Option<f64>,
     /// Step of the contour grid, % of OP's span.
     pub fineness_pct: f64,
     /// Seed of all random choices.
@@ -92,7 +94,7 @@ pub struct FitOverrides {
 impl Default for FitOverrides {
     fn default() -> Self {
         let Options { model, valve, delay, fineness_pct, seed, .. } = Options::default();
-        Self { model, valve, delay, op_range: None, fineness_pct, seed }
+        Self { model, valve, delay, op_range: None, prevalence: None, fineness_pct, seed }
     }
 }
 
@@ -100,9 +102,14 @@ impl FitOverrides {
     /// A loop's settings with these options applied.
     #[must_use]
     pub fn over(&self, own: &AssessParams) -> AssessParams {
-        let Self { model, valve, delay, op_range, fineness_pct, seed } = *self;
+        let Self { model, valve, delay, op_range, prevalence, fineness_pct, seed } = *self;
         let fit = Options { model, valve, delay, fineness_pct, seed, ..own.fit };
-        AssessParams { op_range: op_range.or(own.op_range), fit, ..own.clone() }
+        AssessParams {
+            op_range: op_range.or(own.op_range),
+            prevalence: prevalence.unwrap_or(own.prevalence),
+            fit,
+            ..own.clone()
+        }
     }
 }
 

@@ -52,7 +52,11 @@ fn explanation(a: &Assessment, rows: &mut Rows) {
     let said: Vec<String> = said.map(|w| format!("{} {:+.1}", w.name, w.contribution)).collect();
     rows.add("log-odds", format!("{:+.1} = {:+.1} (base) with {}", e.logit, e.base, said.join(", ")));
     let [called, alarm] = [e.cuts.called, e.cuts.alarm].map(units::number);
-    rows.add("thresholds", format!("p {called} for the verdict, p {alarm} for a window to count towards an alarm"));
+    let p = number(a.p_calibrated);
+    rows.add(
+        "thresholds",
+        format!("p {p} where half stick; {called} for the verdict, {alarm} for a window to count towards an alarm"),
+    );
 }
 
 fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {

@@ -11,8 +11,9 @@ use stiction::core::record::Signal;
 use stiction::core::units::LoopKind;
 
 /// Settings outside `[[loop]]` that a running daemon takes over; all others need a restart.
-const AT_ONCE: [&str; 10] = [
+const AT_ONCE: [&str; 11] = [
     "window",
+    "verdict",
     "alarm",
     "gap",
     "commands.enabled",
@@ -169,6 +170,7 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
         ("commands", serde_json::to_value(&config.commands)),
         ("retention", serde_json::to_value(config.retention)),
         ("gap", serde_json::to_value(config.gap)),
+        ("verdict", serde_json::to_value(config.verdict)),
         ("plant", serde_json::to_value(config.plant)),
         ("summary", serde_json::to_value(&config.summary)),
         ("bundle", serde_json::to_value(&config.bundles)),
@@ -260,6 +262,7 @@ mod tests {
             ("raise = [1, 1]\n", "raise"),
             ("op_range = [0, 100]\n", "op_range"),
             ("kind = \"level\"\n", "kind"),
+            ("final_element = \"drive\"\n", "final_element"),
             ("criticality = 5\n", "criticality"),
             ("area = \"unit 1\"\n", "area"),
             ("upstream = [\"B\"]\n", "upstream"),
@@ -279,11 +282,14 @@ mod tests {
 
     #[test]
     fn settings_outside_loops_are_taken_over_or_need_a_restart() {
-        let text = "[web]\npage = false\n[commands]\nper_minute = 7\n[recording]\nmax_s = 9\n\
+        let text = "[web]\npage = false\n[commands]\nper_minute = 7\n[verdict]\nprevalence = 0.1\n[recording]\nmax_s = 9\n\
                     raw = \"columns\"\n[plant]\ngroups = false\n[input]\nmax_loops = 7\n[retention]\nraw_days = 3\n[summary]\nat = \"05:30\"\n\
                     [[bundle]]\nkey = \"gw/**\"\n[shard]\nindex = 0\ncount = 2\n";
         let found = changes("", text);
-        assert_eq!(found.settings, ["commands.per_minute", "recording.max_s", "retention.raw_days", "summary.at"]);
+        assert_eq!(
+            found.settings,
+            ["commands.per_minute", "recording.max_s", "retention.raw_days", "summary.at", "verdict.prevalence"]
+        );
         let restart = ["bundle", "input.max_loops", "plant.groups", "recording.raw", "shard.count", "web.page"];
         assert_eq!(found.restart, restart);
         let refusal = found.refusal().unwrap();

@@ -49,6 +49,8 @@ impl Config {
                 op_range: own.and_then(|l| l.op_range),
                 op_unit: own.and_then(|l| place_of(l).op_unit),
                 kind: own.and_then(|l| l.kind).and_then(LoopKind::from_name).unwrap_or(kind),
+                prevalence: self.verdict.prevalence,
+                final_element: own.map(|l| l.final_element).unwrap_or_default(),
                 ..AssessParams::default()
             },
             window,

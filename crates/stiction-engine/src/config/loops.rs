@@ -12,7 +12,7 @@ use super::{LoopConfig, read_window};
 use crate::alarm::AlarmParams;
 use crate::engine::WindowParams;
 use stiction::core::record::Signal;
-use stiction::core::units::{LoopKind, is_loop_name};
+use stiction::core::units::{FinalElement, LoopKind, is_loop_name};
 
 /// Action of a controller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -117,6 +117,9 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         }
         found.map(LoopKind::name)
     });
+    let words = FinalElement::ALL.map(FinalElement::name);
+    let word = r.word("final_element", FinalElement::default().name(), &words);
+    let final_element = FinalElement::ALL.into_iter().find(|one| one.name() == word).unwrap_or_default();
     let action = r.text("action").and_then(|(word, line)| {
         let found = [Action::Reverse, Action::Direct].into_iter().find(|action| action.name() == word);
         if found.is_none() {
@@ -130,6 +133,7 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         keys,
         op_range,
         kind,
+        final_element,
         action,
         criticality: r.integer("criticality", 3, 1, 5) as u8,
         area: read_label(r, "area"),

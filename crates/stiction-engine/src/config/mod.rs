@@ -23,7 +23,7 @@ pub use loops::Action;
 pub use reader::Fault;
 use reader::{Lines, TableReader, subtable, syntax_fault};
 pub use scale::{Daemon, is_id};
-pub use service::{Commands, Plant, Retention, Summary};
+pub use service::{Commands, Plant, Retention, Summary, VerdictParams};
 
 use crate::alarm::AlarmParams;
 use crate::engine::{GapParams, WindowParams};
@@ -31,7 +31,7 @@ use crate::hash::short_hash;
 use crate::shard::Shard;
 use stiction::core::record::Signal;
 use stiction::core::signal::history::{LEAST_BYTES, fitting};
-use stiction::core::units::is_loop_name;
+use stiction::core::units::{FinalElement, is_loop_name};
 
 /// Whether nothing is set.
 fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
@@ -39,11 +39,12 @@ fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
 }
 
 /// Tables that occur once.
-const TABLES: [&str; 14] = [
+const TABLES: [&str; 15] = [
     "site",
     "zenoh",
     "input",
     "window",
+    "verdict",
     "alarm",
     "gap",
     "recording",
@@ -67,6 +68,9 @@ pub struct Config {
     pub input: Input,
     /// Windows; loops may override.
     pub window: WindowParams,
+    /// What probabilities assume. Omitted from [`Config::hash`] while nothing is set.
+    #[serde(skip_serializing_if = "is_default")]
+    pub verdict: VerdictParams,
     /// Alarms; loops may override.
     pub alarm: AlarmParams,
     /// The gap diagnosis. Omitted from [`Config::hash`] while nothing is set, so that older recordings still verify.
@@ -207,6 +211,9 @@ pub struct LoopConfig {
     /// Controlled quantity, if the first letters of the name do not give it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kind: Option<&'static str>,
+    /// What its OP moves; omitted from [`Config::hash`] while it is a valve.
+    #[serde(skip_serializing_if = "is_default")]
+    pub final_element: FinalElement,
     /// Action of its controller; omitted from [`Config::hash`] while not given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action: Option<Action>,
@@ -254,6 +261,7 @@ impl Config {
             zenoh,
             input,
             window,
+            verdict,
             alarm,
             gap,
             recording,
@@ -280,6 +288,7 @@ impl Config {
             zenoh: read!(zenoh, read_zenoh),
             input: read!(input, input::read_input),
             window,
+            verdict: read!(verdict, service::read_verdict),
             alarm,
             gap: read!(gap, read_gap),
             recording: read!(recording, read_recording),

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::reader::TableReader;
+use stiction::core::verdict::prevalence::PREVALENCE;
 
 /// `[retention]`; 0 means no limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -33,6 +34,13 @@ pub struct Commands {
 pub struct Plant {
     /// Whether loops are compared to find groups that share one oscillation.
     pub groups: bool,
+}
+
+/// `[verdict]`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct VerdictParams {
+    /// Share of such loops whose valve sticks, 0..1: what `p_stiction` assumes.
+    pub prevalence: f64,
 }
 
 /// `[summary]`: the document of what keeps loops from being judged, for receivers and the bus.
@@ -68,6 +76,12 @@ impl Default for Retention {
     }
 }
 
+impl Default for VerdictParams {
+    fn default() -> Self {
+        Self { prevalence: PREVALENCE }
+    }
+}
+
 impl Default for Plant {
     fn default() -> Self {
         Self { groups: true }
@@ -84,6 +98,10 @@ impl Default for Commands {
     fn default() -> Self {
         Self { enabled: true, per_minute: 300, runs_per_hour: 60 }
     }
+}
+
+pub(super) fn read_verdict(r: &mut TableReader<'_, '_>) -> VerdictParams {
+    VerdictParams { prevalence: r.number("prevalence", VerdictParams::default().prevalence, 0.001, 0.999) }
 }
 
 pub(super) fn read_plant(r: &mut TableReader<'_, '_>) -> Plant {

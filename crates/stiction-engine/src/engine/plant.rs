@@ -18,7 +18,7 @@ use crate::hash::short_hash;
 use stiction::core::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
 use stiction::core::record::Record;
 use stiction::core::units::ns_from_s;
-use stiction::core::verdict::{Assessment, MemberJudgement};
+use stiction::core::verdict::{Assessment, MemberJudgement, for_prevalence};
 
 /// Hops after which the window of a loop that fell silent is no longer compared.
 const KEPT_HOPS: f64 = 3.0;
@@ -246,9 +246,10 @@ impl GroupStanding {
         if !is_near(period_s, self.period_s) {
             return None;
         }
-        let lowered = self.judgement.p_stiction.filter(|_| self.holds);
-        let p_stiction = own.p_stiction.map(|p| lowered.map_or(p, |lowered| p.min(lowered)));
-        Some(MemberJudgement { p_alone: own.p_stiction, p_stiction, ..self.judgement.clone() })
+        let lowered = self.judgement.calibrated().filter(|_| self.holds);
+        let p_calibrated = own.p_calibrated.map(|p| lowered.map_or(p, |lowered| p.min(lowered)));
+        let p_stiction = p_calibrated.map(|p| for_prevalence(p, own.prevalence));
+        Some(MemberJudgement { p_alone: own.p_stiction, p_stiction, p_calibrated, ..self.judgement.clone() })
     }
 
     /// Counts one window; says whether the answer still holds.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::alarm::{AlarmDocument, State, no_alarm};
 use stiction::core::verdict::answer::{Answer, Standing, settled};
-use stiction::core::verdict::{Assessment, Gate, Verdict, texts, words};
+use stiction::core::verdict::{Assessment, Gate, NO_VALVE, Verdict, texts, words};
 
 pub use plant::{Headline, InPlant, Mood};
 
@@ -192,6 +192,9 @@ fn newest(a: &Assessment, shown: &Shown) -> (Option<Sign>, String) {
         return (Some(Sign::FunctionCheck), "the controller is in manual".to_owned());
     }
     let sign = match (shown.verdict, Standing::of(a)) {
+        (Verdict::Inconclusive, _) if a.reason == Some(NO_VALVE) && a.oscillation.oscillating => {
+            Some(Sign::OutOfSpecification)
+        }
         (Verdict::Inconclusive, _) | (Verdict::NotOscillating, Standing::Open) => None,
         (Verdict::NotOscillating, _) => Some(Sign::NothingFound),
         _ => Some(Sign::OutOfSpecification),

@@ -18,6 +18,7 @@ fn window(k: usize, (verdict, p, gates, reason): (Verdict, f64, Vec<Gate>, Optio
         verdict,
         stiction,
         p_stiction: Some(p),
+        p_calibrated: Some(p),
         grade: Some('C'),
         s: Some(2.0),
         counted_by: Some(CountedBy::Periods),

@@ -76,7 +76,7 @@ fn judged(name: String, record: Arc<Record>, sticks: bool) -> FleetLoop {
         Oscillation { oscillating: false, period_s: None, periods: None, samples_per_period: None, regularity: None };
     let band = 0.3 * span(&record.op_path);
     let assessment = Assessment {
-        p_stiction: Some(if sticks { 0.9 } else { 0.1 }),
+        p_calibrated: Some(if sticks { 0.9 } else { 0.1 }),
         stiction: Some(sticks),
         fs: Some(band),
         fd: Some(0.5 * band),

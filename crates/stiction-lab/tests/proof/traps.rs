@@ -22,7 +22,7 @@ fn accused(name: &str, make: impl Fn(u64) -> Record) -> (usize, Vec<Assessment>)
             format!(
                 "{} {:.2}{:?}",
                 a.verdict.name(),
-                a.p_stiction.unwrap_or(-1.0),
+                a.p_calibrated.unwrap_or(-1.0),
                 a.gates.iter().map(|g| g.name()).collect::<Vec<_>>()
             )
         })

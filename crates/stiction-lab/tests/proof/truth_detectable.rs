@@ -102,7 +102,7 @@ fn where_it_is_null_half_the_span_is_seldom_enough() {
             continue;
         }
         null += 1;
-        let p = judged(&moving(seed, 0.1, sticking(0.5 * span(&record.op_path)))).p_stiction;
+        let p = judged(&moving(seed, 0.1, sticking(0.5 * span(&record.op_path)))).p_calibrated;
         enough += usize::from(p.is_some_and(|p| p >= 0.9));
     }
     println!("null for {null} of 16 loops under load; half the span is enough in {enough}");

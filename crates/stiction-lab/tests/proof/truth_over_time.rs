@@ -94,6 +94,7 @@ impl Valve {
                 end_ns,
                 stiction: Some(sticks),
                 p_stiction: Some(p),
+                p_calibrated: Some(p),
                 grade: Some('A'),
                 s: Some(s),
                 s_interval: Some(if sticks { [s * libm::exp(-half), s * libm::exp(half)] } else { [0.0, s] }),

@@ -84,6 +84,12 @@ pub fn size(value: f64) -> String {
     significant(Rounding::Nearest.two_digits(value), DIGITS)
 }
 
+/// The ends of an interval, rounded outwards: what is written is never narrower than what was found.
+#[must_use]
+pub fn interval([low, high]: [f64; 2]) -> [String; 2] {
+    [Rounding::Down.two_digits(low), Rounding::Up.two_digits(high)].map(|end| significant(end, DIGITS))
+}
+
 /// A step of OP that a faceplate takes, as is its half; smaller ones than a faceplate has keep two digits.
 #[must_use]
 pub fn op_step(step: f64) -> f64 {
@@ -124,6 +130,8 @@ mod tests {
         {
             assert_eq!(size(value), text);
         }
+        assert_eq!(interval([7.97, 8.034]), ["7.9", "8.1"]);
+        assert_eq!(interval([0.0, 12.5]), ["0", "13"]);
         for (step, taken) in [(0.362, 0.4), (1.64, 1.6), (0.25, 0.2), (0.0432, 0.043), (12.4, 12.0), (2.0, 2.0)] {
             assert!((op_step(step) - taken).abs() < 1e-9, "{step}: {}", op_step(step));
         }

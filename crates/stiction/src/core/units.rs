@@ -252,6 +252,37 @@ pub enum LoopKind {
     Other,
 }
 
+/// What a controller's output moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FinalElement {
+    /// A control valve.
+    #[default]
+    Valve,
+    /// A drive with a variable speed.
+    Drive,
+    /// A damper.
+    Damper,
+    /// The set point of another controller, the slave of a cascade.
+    Cascade,
+}
+
+impl FinalElement {
+    /// Every kind.
+    pub const ALL: [Self; 4] = [Self::Valve, Self::Drive, Self::Damper, Self::Cascade];
+
+    /// Its word in configurations.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Valve => "valve",
+            Self::Drive => "drive",
+            Self::Damper => "damper",
+            Self::Cascade => "cascade",
+        }
+    }
+}
+
 impl LoopKind {
     /// Every kind.
     pub const ALL: [Self; 6] =

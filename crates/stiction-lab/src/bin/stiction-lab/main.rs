@@ -14,8 +14,9 @@ mod repeat;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use stiction_engine::provenance;
 use stictiond::cli::manual::{self, ManualArgs, Shell};
-use stictiond::cli::{Outcome, OutputArgs, exit_code, log, parse, print};
+use stictiond::cli::{Outcome, OutputArgs, exit_code, log, of_build, parse, print};
 
 /// Check the gap diagnosis on withheld causes, and calibrate the classifier, the intervals and the rules for plants.
 ///
@@ -62,10 +63,11 @@ fn run(cli: &Cli) -> anyhow::Result<Outcome> {
     let format = cli.output.format;
     match &cli.command {
         Command::Challenge(args) => challenge::run(args, format),
-        Command::Calibrate(args) => calibrate::run(args, format),
-        Command::Evaluate(args) => evaluate::run(args, format),
-        Command::Bench(args) => bench::run(args, format),
-        Command::Causes(args) => causes::run(args, format),
+        Command::Calibrate(args) => of_build(calibrate::run(args, format), format, &provenance()),
+        Command::Evaluate(args) => of_build(evaluate::run(args, format), format, &provenance()),
+        Command::Bench(args) if args.publish.is_some() => bench::run(args, format),
+        Command::Bench(args) => of_build(bench::run(args, format), format, &provenance()),
+        Command::Causes(args) => of_build(causes::run(args, format), format, &provenance()),
         Command::Repeat(args) => repeat::run(args, format),
         Command::Fleet => fleet::run(format),
         Command::Manual(args) => manual::run(Cli::command(), args, format),

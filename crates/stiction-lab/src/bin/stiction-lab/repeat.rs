@@ -43,7 +43,7 @@ struct Sized {
 impl Sized {
     fn of(a: &Assessment) -> Option<Self> {
         let (s, interval) = (a.s?, a.s_interval?);
-        let (grade, p) = (a.grade, a.p_stiction);
+        let (grade, p) = (a.grade, a.p_calibrated);
         (a.stiction == Some(true) && interval[0] > 0.0).then_some(Self { s, interval, grade, p })
     }
 

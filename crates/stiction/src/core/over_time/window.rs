@@ -17,8 +17,10 @@ pub struct WindowResult {
     pub end_ns: i64,
     /// Whether the valve sticks; `None` if the window is inconclusive.
     pub stiction: Option<bool>,
-    /// Probability of stiction, 0..1.
+    /// Probability of stiction for the prevalence of the document, 0..1.
     pub p_stiction: Option<f64>,
+    /// The same where half of the valves stick, which the levels are found by; a document without it says so as `p_stiction`.
+    pub p_calibrated: Option<f64>,
     /// Grade, A to D.
     pub grade: Option<char>,
     /// Dead band plus stick band, OP units.
@@ -42,6 +44,7 @@ impl From<&Assessment> for WindowResult {
             end_ns: a.window.end_ns,
             stiction: a.stiction,
             p_stiction: a.p_stiction,
+            p_calibrated: a.p_calibrated,
             grade: a.grade,
             s: a.s,
             s_interval: a.s_interval,
@@ -55,8 +58,9 @@ impl From<&Assessment> for WindowResult {
 
 /// Bounds of a probability: the confidence of a single window is limited.
 const SURE: [f64; 2] = [0.02, 0.98];
-/// Probability assumed for a verdict without one.
-const PLAIN: f64 = 0.9;
+/// Probabilities assumed for windows without one: where none sticks, what the classifier gives to a calm loop on average, and
+/// where one sticks.
+const PLAIN: [f64; 2] = [0.2, 0.9];
 /// Multiplier of logits: the verdicts count more than their confidences.
 const SHARPER: f64 = 3.0;
 /// Least standard deviation of ln s, and the least share of s assumed for an interval's end.
@@ -103,8 +107,8 @@ impl<'a> History<'a> {
         let shares = shares(&kept);
         let points = kept.iter().zip(shares).map(|(result, share)| {
             let sticks = result.stiction == Some(true);
-            let told = result.p_stiction.filter(|p| p.is_finite());
-            let p = told.unwrap_or(if sticks { PLAIN } else { 1.0 - PLAIN });
+            let told = result.p_calibrated.or(result.p_stiction).filter(|p| p.is_finite());
+            let p = told.unwrap_or(PLAIN[usize::from(sticks)]);
             let odds = libm::pow(p.max(0.0) / (1.0 - p).max(f64::MIN_POSITIVE), SHARPER);
             let weighed = if odds.is_finite() { odds / (1.0 + odds) } else { 1.0 };
             let weighed = weighed.clamp(SURE[0], SURE[1]);

@@ -35,7 +35,7 @@ pub(super) fn sentences(told: &OverTime, history: &History<'_>) -> Vec<String> {
 /// Why a window whose verdict is the opposite of its stretch's contradicts it.
 pub(super) fn opposite(sticks: bool, p: f64, agree: usize, of: usize) -> String {
     let (it, they) = if sticks { ("finds stiction", "find none") } else { ("finds no stiction", "find it") };
-    format!("it {it} (p = {}), while {agree} of the {of} windows of its time {they}", number(p))
+    format!("it {it} (calibrated p = {}), while {agree} of the {of} windows of its time {they}", number(p))
 }
 
 /// Why a window whose size differs contradicts its stretch.
@@ -70,20 +70,23 @@ fn date(ns: i64) -> String {
 fn change(c: &Change) -> String {
     let sized = |s: Option<f64>| s.map_or_else(|| "unknown".to_owned(), number);
     let what = match (c.kind, c.s_before) {
-        (ChangeKind::Repaired, None) => "The stiction disappeared".to_owned(),
-        (ChangeKind::Repaired, Some(s)) => format!("The stiction (s = {} OP units) disappeared", number(s)),
+        (ChangeKind::Repaired, None) => "Stiction is no longer detected".to_owned(),
+        (ChangeKind::Repaired, Some(s)) => format!("Stiction (s = {} OP units) is no longer detected", number(s)),
         (ChangeKind::Worse, None) => format!("The valve began to stick (s = {} OP units)", sized(c.s_after)),
         (kind, _) => {
             let word = if kind == ChangeKind::Better { "better" } else { "worse" };
             format!("The valve became {word} (s from {} to {} OP units)", sized(c.s_before), sized(c.s_after))
         }
     };
-    let after = if c.kind == ChangeKind::Repaired { ", as after a repair" } else { "" };
     let sure = match 1.0 - c.p {
         rest if rest < 1e-6 => "practically never by chance".to_owned(),
         rest => format!("such a step occurs by chance in {} % of histories", number(100.0 * rest)),
     };
-    format!("{what} around {}, between {} and {}{after}; {sure}.", date(c.at_ns), date(c.from_ns), date(c.to_ns))
+    let (at, from, to) = (date(c.at_ns), date(c.from_ns), date(c.to_ns));
+    if c.kind == ChangeKind::Repaired {
+        return format!("{what} since about {at} (between {from} and {to}); {sure}.");
+    }
+    format!("{what} around {at}, between {from} and {to}; {sure}.")
 }
 
 fn pooled(p: &Pooled, since_ns: Option<i64>) -> String {

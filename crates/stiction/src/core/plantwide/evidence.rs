@@ -210,7 +210,7 @@ pub(super) fn gather(members: &[(&Signals, &Assessment)], period_s: f64) -> Opti
 /// What a loop's own window says: the logit of its probability and its indicators, 0 where one is missing.
 fn alone(assessment: &Assessment) -> [f64; 7] {
     let of = |name: &str| assessment.indicators.iter().find(|i| i.name == name).and_then(|i| i.score).unwrap_or(0.0);
-    let p = assessment.p_stiction.unwrap_or(UNKNOWN).clamp(1e-4, 1.0 - 1e-4);
+    let p = assessment.p_calibrated.unwrap_or(UNKNOWN).clamp(1e-4, 1.0 - 1e-4);
     [
         libm::log(p / (1.0 - p)),
         of("likelihood").min(LARGEST[0]),

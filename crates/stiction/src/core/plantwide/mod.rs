@@ -32,7 +32,7 @@ pub use words::{headline, of_member, text};
 use crate::core::record::Record;
 use crate::core::units::Moment;
 pub use crate::core::verdict::MemberJudgement;
-use crate::core::verdict::{Assessment, Gate};
+use crate::core::verdict::{Assessment, Gate, for_prevalence};
 use cycle::Cycle;
 use evidence::{Evidence, Signals};
 use groups::Link;
@@ -149,7 +149,7 @@ struct Group<'a> {
 impl Group<'_> {
     /// The members whose evidence is gathered, in the order of the plant's loops.
     fn candidates(&self) -> Vec<usize> {
-        let p = |member: &usize| self.loops[*member].assessment.p_stiction.unwrap_or(0.0);
+        let p = |member: &usize| self.loops[*member].assessment.p_calibrated.unwrap_or(0.0);
         let mut candidates = self.members.clone();
         candidates.sort_by(|a, b| p(b).total_cmp(&p(a)).then(a.cmp(b)));
         candidates.truncate(MOST_CANDIDATES);
@@ -247,17 +247,19 @@ impl Group<'_> {
     fn judgement(&self, member: usize, place: Option<usize>, decision: &Decision, source: &Source) -> MemberJudgement {
         let l = self.loops[member];
         let twin = self.twin_of(member).map(|twin| self.loops[twin].name);
-        let p_alone = l.assessment.p_stiction.filter(|_| l.assessment.stiction.is_some());
+        let p_alone = l.assessment.p_calibrated.filter(|_| l.assessment.stiction.is_some());
+        let converted = |p: f64| for_prevalence(p, l.assessment.prevalence);
         let is_source = source.kind == SourceKind::Loop && source.loop_name.as_deref() == Some(l.name);
         // A member beyond the candidates is less likely to stick, alone, than each of them.
         let judged = place.zip(p_alone).map(|(place, p)| decision.p_stiction(place, p, self.rules));
-        let (p_stiction, lowered) = judged.map_or((p_alone, false), |(p, lowered)| (Some(p), lowered));
-        let called = p_stiction.is_some_and(|p| p >= l.assessment.called_at());
+        let (p_calibrated, lowered) = judged.map_or((p_alone, false), |(p, lowered)| (Some(p), lowered));
+        let called = p_calibrated.is_some_and(|p| p >= l.assessment.called_at());
         MemberJudgement {
             loop_name: l.name.to_owned(),
             p_source: place.map_or(0.0, |place| decision.p_source[place]),
-            p_alone,
-            p_stiction,
+            p_alone: p_alone.map(converted),
+            p_stiction: p_calibrated.map(converted),
+            p_calibrated,
             cause: twin
                 .map_or_else(|| (!is_source).then(|| words::cause(source)).flatten(), |twin| Some(words::twice(twin))),
             masked: !is_source && twin.is_none() && (lowered || !called),
@@ -317,7 +319,7 @@ mod tests {
         };
         let assessment = Assessment {
             stiction: Some(false),
-            p_stiction: Some(0.1),
+            p_calibrated: Some(0.1),
             ..Assessment::empty(crate::core::verdict::Window::of(&record), oscillation)
         };
         let of = |name| PlantLoop { name, record: &record, assessment: &assessment, area: None, upstream: &[] };

@@ -23,7 +23,6 @@ pub enum ValveLaw {
     /// The tracking (sliding) model, [`tracking_step`].
     Tracking,
     /// A force model: [`ValveModel::friction`].
-    #[serde(skip)]
     Physical,
 }
 

@@ -25,6 +25,30 @@ pub struct Friction {
     folds: Option<[(f64, f64); 2]>,
 }
 
+/// Friction of a valve in a scenario.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrictionSpec {
+    /// Force that holds the stem, OP units.
+    pub stick: f64,
+    /// Force that drags it while it moves fast, OP units.
+    pub drag: f64,
+    /// Speed at which the first has become the second, OP units a scan.
+    pub speed: f64,
+    /// Viscous time, scans.
+    pub viscous: f64,
+    /// Lag of the actuator, scans.
+    pub lag: f64,
+}
+
+impl FrictionSpec {
+    /// The friction.
+    #[must_use]
+    pub fn friction(self) -> Friction {
+        Friction::new(self.stick, self.drag, self.speed, self.viscous, self.lag)
+    }
+}
+
 impl Friction {
     /// No friction.
     pub const NONE: Self = Self { fs: 0.0, fc: 0.0, vs: 1.0, fv: 1e-3, lag: 0.0, folds: None };

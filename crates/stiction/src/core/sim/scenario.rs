@@ -29,10 +29,11 @@ use super::actuator::Actuator;
 use super::closed_loop::{LoopModel, ValveLaw, ValveModel};
 use super::controller::{Action, PidSettings};
 use super::disturbance::Disturbance;
+use super::friction::{Friction, FrictionSpec};
 use super::process::ProcessModel;
 use super::slips::Stroke;
 use crate::core::record::Signal;
-use crate::core::units::{format_rfc3339, ns_from_s, parse_time};
+use crate::core::units::{format_rfc3339, ns_from_s, number, parse_time};
 
 /// Why a text is not a valid scenario.
 #[derive(Debug, Error, Clone, PartialEq, Eq)]
@@ -248,6 +249,9 @@ pub struct ValveSpec {
     /// Kinetic band, OP units.
     #[serde(default)]
     pub fd: f64,
+    /// Of law `physical`, which has no `fs` and `fd`: its friction.
+    #[serde(default)]
+    pub friction: Option<FrictionSpec>,
     /// Additional properties of the stem; only from a model file.
     #[serde(skip)]
     pub stroke: Stroke,
@@ -258,7 +262,7 @@ pub struct ValveSpec {
 
 impl Default for ValveSpec {
     fn default() -> Self {
-        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, stroke: Stroke::FREE, actuator: Actuator::NONE }
+        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, friction: None, stroke: Stroke::FREE, actuator: Actuator::NONE }
     }
 }
 
@@ -436,7 +440,7 @@ impl LoopSpec {
                 travel_max: op_max.max(100.0),
                 stroke: self.valve.stroke,
                 actuator: self.valve.actuator,
-                ..ValveModel::HEALTHY
+                friction: self.valve.friction.map_or(Friction::NONE, FrictionSpec::friction),
             },
             pv_noise_sd: self.noise.pv_sd,
             load: self.disturbance.load.clone(),
@@ -451,6 +455,10 @@ impl LoopSpec {
         let label = self.label.map_or(String::new(), |l| format!(" ({})", l.name()));
         let friction = match valve.law {
             ValveLaw::None => "valve without friction".to_owned(),
+            ValveLaw::Physical => {
+                let (s, j) = valve.friction.map_or((0.0, 0.0), |of| of.friction().measure());
+                format!("valve with forces: s {} j {} when moved slowly, OP units", number(s), number(j))
+            }
             law => format!(
                 "valve law {}: fs {} fd {} (s {} j {}), OP units",
                 if law == ValveLaw::He { "he" } else { "tracking" },

@@ -174,6 +174,20 @@ fn check_loop(spec: &LoopSpec, ts_s: f64, report: &mut Report<'_>) {
     report.need(valve.law != ValveLaw::None || (valve.fs == 0.0 && valve.fd == 0.0), "valve.law", || {
         format!("is \"none\", but fs {} and fd {} are given: choose \"he\" or \"tracking\"", valve.fs, valve.fd)
     });
+    report.need((valve.law == ValveLaw::Physical) == valve.friction.is_some(), "valve.friction", || {
+        "belongs to law \"physical\", which needs it: { stick, drag, speed, viscous, lag }".to_owned()
+    });
+    report.need(valve.law != ValveLaw::Physical || valve.fs == 0.0, "valve.fs", || {
+        "is given, but the bands of law \"physical\" follow from its friction".to_owned()
+    });
+    if let Some(of) = &valve.friction {
+        report.positive("valve.friction.speed", of.speed);
+        report.positive("valve.friction.viscous", of.viscous);
+        report.not_negative("valve.friction.lag", of.lag);
+        report.need(0.0 < of.drag && of.drag <= of.stick && of.stick.is_finite(), "valve.friction.drag", || {
+            format!("is {}, but must be above 0 and at most stick {}", of.drag, of.stick)
+        });
+    }
     report.not_negative("noise.pv_sd", spec.noise.pv_sd);
 
     match &spec.setpoint {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::answer::{Scale, Standing};
 use super::bump_test::{self, BumpTest, Refusal};
-use super::{Assessment, SCREENED, ValvePosition, Verdict, texts};
+use super::{Assessment, NO_VALVE, SCREENED, ValvePosition, Verdict, texts};
 
 /// How the band is confirmed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -117,7 +117,7 @@ pub fn what_to_do(a: &Assessment) -> String {
 fn limit(a: &Assessment) -> String {
     match a.s_detectable {
         Some(least) => {
-            format!("A band below {} would not have been found in this record.", Scale::of(a).told(least))
+            format!("Bands below {} could easily be missed in this record.", Scale::of(a).told(least))
         }
         None if a.reason == Some(SCREENED) => {
             "The loop is calm and was only screened: this record rules out no band.".to_owned()
@@ -148,6 +148,7 @@ pub fn better_data(reason: &str) -> &'static str {
         "daily_cycle" => "look at sections of a few hours, sampled faster, in which the daily cycle plays no part",
         "trend" => "choose a section without the trend, or one in which the loop oscillates",
         "masked" => "find and repair the source of the shared oscillation, then judge this loop again",
+        NO_VALVE => "nothing: drives, dampers and masters of cascades are not judged (final_element in [[loop]])",
         "skipped" => "give the machine more processor time, or analyze this window from the recording",
         _ => {
             "check that OP and PV belong to this loop and are not swapped; record longer, in automatic, while it oscillates"

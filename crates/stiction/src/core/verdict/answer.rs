@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::words;
 use super::{Assessment, Verdict};
-use crate::core::units::number;
+use crate::core::people;
 
-/// Probability from which on a valve that is not called sticking is not called unseen either.
+/// Calibrated probability from which on a valve that is not called sticking is not called unseen either.
 pub const OPEN_FROM: f64 = 0.3;
 
 /// Where an estimate stands on the question whether the valve sticks.
@@ -19,7 +19,7 @@ pub enum Standing {
     Sticks,
     /// It sticks, but not surely enough to count towards an alarm.
     Suspected,
-    /// Neither found nor unseen: the probability is from 0.3 up to the decision threshold.
+    /// Neither found nor unseen: the calibrated probability is from 0.3 up to the decision threshold.
     Open,
     /// No sign of it was found.
     NotSeen,
@@ -31,7 +31,7 @@ impl Standing {
     /// Of an estimate.
     #[must_use]
     pub fn of(a: &Assessment) -> Self {
-        let p = a.p_stiction.or_else(|| a.explanation.map(|opinion| opinion.p()));
+        let p = a.p_calibrated.or_else(|| a.explanation.map(|opinion| opinion.p()));
         let is_sure = a.explanation.zip(p).is_none_or(|(opinion, p)| p >= opinion.cuts.alarm);
         match a.stiction {
             Some(true) if is_sure => Self::Sticks,
@@ -86,9 +86,9 @@ impl<'a> Scale<'a> {
     /// A size with its unit; beside % of travel also in OP's unit, where the two differ.
     #[must_use]
     pub fn told(&self, op: f64) -> String {
-        let text = format!("{} {}", number(self.value(op)), self.unit());
+        let text = format!("{} {}", people::size(self.value(op)), self.unit());
         match self.percent {
-            Some(percent) if percent != 1.0 => format!("{text} ({} {})", number(op), self.op_unit),
+            Some(percent) if percent != 1.0 => format!("{text} ({} {})", people::size(op), self.op_unit),
             _ => text,
         }
     }
@@ -135,8 +135,8 @@ pub fn grade(a: &Assessment) -> Option<char> {
 pub fn size(a: &Assessment) -> Option<String> {
     let s = a.s.filter(|_| Standing::of(a).is_found())?;
     let scale = Scale::of(a);
-    let [value, unit] = [number(scale.value(s)), scale.unit().to_owned()];
-    let interval = a.s_interval.map(|ends| ends.map(|end| number(scale.value(end))));
+    let [value, unit] = [people::size(scale.value(s)), scale.unit().to_owned()];
+    let interval = a.s_interval.map(|ends| people::interval(ends.map(|end| scale.value(end))));
     Some(match interval {
         Some([least, _]) if words::at_bound(a) => format!("{value}, at least {least} {unit}"),
         Some([low, high]) => format!("{value} ({low} to {high}) {unit}"),
@@ -168,6 +168,7 @@ pub fn settled(newest_first: impl IntoIterator<Item = Verdict>) -> Option<(Verdi
 mod tests {
     use super::*;
     use crate::core::record::Record;
+    use crate::core::verdict::prevalence::{PREVALENCE, for_prevalence};
     use crate::core::verdict::rule::{Cuts, Opinion};
     use crate::core::verdict::{Oscillation, Window};
     use proptest::prelude::*;
@@ -189,7 +190,9 @@ mod tests {
         Assessment {
             verdict,
             stiction,
-            p_stiction: Some(p),
+            p_stiction: Some(for_prevalence(p, PREVALENCE)),
+            p_calibrated: Some(p),
+            prevalence: PREVALENCE,
             grade: Some('B'),
             s: Some(1.6),
             s_interval: Some([1.2, 2.0]),
@@ -234,7 +237,7 @@ mod tests {
     fn sizes_have_one_unit_and_a_second_only_where_it_differs() {
         let size_in = |range| size(&estimate(Some(true), 0.9, range)).unwrap();
         assert_eq!(size_in(None), "1.6 (1.2 to 2) mA");
-        assert_eq!(size_in(Some([4.0, 20.0])), "10 (7.5 to 12.5) % of travel");
+        assert_eq!(size_in(Some([4.0, 20.0])), "10 (7.5 to 13) % of travel");
         let mut a = estimate(Some(true), 0.9, Some([4.0, 20.0]));
         assert_eq!(Scale::of(&a).told(1.6), "10 % of travel (1.6 mA)");
         a.op_range = Some([0.0, 100.0]);

@@ -1,12 +1,13 @@
 //! One record in, one assessment out: first look, evidence, judgement, document.
 
 use super::detectable;
-use super::document::{Assessment, Controller, Gate, Process, Search, Verdict, Window};
+use super::document::{Assessment, Controller, Gate, NO_VALVE, Process, Search, Verdict, Window};
 use super::evidence::{Answer, FirstLook, Windows, describe, options};
 use super::excursion;
 use super::features::Figures;
 use super::judgement::{Judgement, counted_by, grade, reversals_of_op};
 use super::params::AssessParams;
+use super::prevalence::for_prevalence;
 use super::rule::Rule;
 use super::screen;
 use super::swapped;
@@ -18,6 +19,7 @@ use crate::core::ident::width::{Intervals, Settings, agree};
 use crate::core::optim::SolverName;
 use crate::core::record::Record;
 use crate::core::signal::stats;
+use crate::core::units::FinalElement;
 
 /// Reason for no answer where PV never moves while OP does.
 const STUCK_SIGNAL: &str = "stuck_signal";
@@ -65,9 +67,13 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
         interval_level: Some(INTERVAL_LEVEL),
         op_range: params.op_range,
         op_unit: params.op_unit.clone(),
+        prevalence: params.prevalence,
         valve_position: ValvePosition::of(record),
         ..Assessment::empty(window, describe(first.oscillation().as_ref(), record))
     };
+    if params.final_element != FinalElement::Valve {
+        return Assessment { reason: Some(NO_VALVE), ..whole };
+    }
     if let Some(gate) = first.blocking() {
         let stuck = gate == Gate::FrozenPv && !first.gates.contains(&Gate::FrozenOp);
         return Assessment { reason: Some(if stuck { STUCK_SIGNAL } else { gate.name() }), ..whole };
@@ -122,7 +128,8 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
         verdict: judgement.verdict,
         stiction: judgement.verdict.stiction(),
         reason: judgement.reason,
-        p_stiction: Some(p),
+        p_stiction: Some(for_prevalence(p, params.prevalence)),
+        p_calibrated: Some(p),
         confidence,
         gates,
         counted_by: judgement.counted_by,

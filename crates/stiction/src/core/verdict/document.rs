@@ -6,6 +6,7 @@ use crate::core::optim::SolverName;
 use crate::core::sim::slips::Law;
 use serde::{Deserialize, Serialize};
 
+use super::prevalence::CALIBRATED_FOR;
 pub use super::process::Process;
 use super::rule::Opinion;
 use super::valve_position::ValvePosition;
@@ -205,8 +206,11 @@ pub enum CountedBy {
     Reversals,
 }
 
+/// Reason of a loop whose final element is declared to be no valve.
+pub const NO_VALVE: &str = "no_valve";
 /// Words of [`Assessment::reason`] that are not the name of a blocking check.
-const REASONS: [&str; 11] = [
+const REASONS: [&str; 12] = [
+    NO_VALVE,
     "stuck_signal",
     "implausible_model",
     "daily_cycle",
@@ -358,12 +362,18 @@ pub struct Assessment {
     pub stiction: Option<bool>,
     /// Why there is no answer: the first blocking validity check, `too_few_reversals` (neither enough periods nor enough
     /// reversals of the stem), `stuck_signal` (PV is constant while OP moves), `not_fitted`, `implausible_model` (no plausible
-    /// model), `daily_cycle`, `trend` or `op_held` (OP is stored too rarely to show the valve's input); `masked` (an oscillation that it shares with other
+    /// model), `daily_cycle`, `trend` or `op_held` (OP is stored too rarely to show the valve's input); `no_valve` (the final element is declared to be none); `masked` (an oscillation that it shares with other
     /// loops hides the valve's state); or why there is only a verdict: `screened` (a calm loop, for which nothing else was computed).
     pub reason: Option<&'static str>,
-    /// Probability of stiction, 0..1; `None` behind a blocking validity check.
+    /// Probability of stiction where `prevalence` of such valves stick, 0..1; `None` behind a blocking validity check and for a
+    /// screened loop.
     pub p_stiction: Option<f64>,
-    /// The larger of p and 1 - p; `None` where `stiction` is.
+    /// The same where half of them stick, as in the sets that the classifier is calibrated on: verdict, grade and alarm follow
+    /// from this one.
+    pub p_calibrated: Option<f64>,
+    /// Share of such loops that is assumed to stick, 0..1.
+    pub prevalence: f64,
+    /// The larger of `p_calibrated` and 1 - `p_calibrated`; `None` where `stiction` is.
     pub confidence: Option<f64>,
     /// Validity checks that the window failed.
     pub gates: Vec<Gate>,
@@ -466,6 +476,8 @@ impl Assessment {
             stiction: None,
             reason: None,
             p_stiction: None,
+            p_calibrated: None,
+            prevalence: CALIBRATED_FOR,
             confidence: None,
             gates: Vec::new(),
             implausible: Vec::new(),
@@ -528,10 +540,13 @@ pub struct MemberJudgement {
     pub loop_name: String,
     /// Probability that the loop causes the oscillation.
     pub p_source: f64,
-    /// Probability that its valve sticks, from the loop's own window alone.
+    /// Probability that its valve sticks, from the loop's own window alone, for the prevalence of its estimate.
     pub p_alone: Option<f64>,
     /// The same from the whole group.
     pub p_stiction: Option<f64>,
+    /// The same where half of the valves stick.
+    #[serde(default)]
+    pub p_calibrated: Option<f64>,
     /// What drives it, such as `driven by FIC101, p 0.94`; absent for the source.
     pub cause: Option<String>,
     /// The source's oscillation hides whether this valve sticks: judge it again once the source is repaired.

@@ -1,16 +1,24 @@
 //! What the group of loops that share one oscillation says of one of them.
 
 use super::document::{Assessment, MemberJudgement, Verdict};
+use super::prevalence::for_prevalence;
 
 /// Reason of an estimate without a verdict: the loop follows an oscillation of its group, which hides the state of its valve.
 const MASKED: &str = "masked";
 
 impl MemberJudgement {
+    /// Probability that its valve sticks where half of the valves do. Documents from before the prevalence say it as `p_stiction`.
+    #[must_use]
+    pub fn calibrated(&self) -> Option<f64> {
+        self.p_calibrated.or(self.p_stiction)
+    }
+
     /// Puts the group's answer into the estimate of the member's window.
     pub fn apply(&self, a: &mut Assessment) {
-        let Some(p) = self.p_stiction.filter(|_| a.stiction.is_some()) else { return };
+        let Some(p) = self.calibrated().filter(|_| a.stiction.is_some()) else { return };
         let called = p >= a.called_at();
-        a.p_stiction = Some(p);
+        a.p_calibrated = Some(p);
+        a.p_stiction = Some(for_prevalence(p, a.prevalence));
         match a.stiction {
             Some(true) if !called => {
                 (a.verdict, a.stiction, a.reason) = (Verdict::Inconclusive, None, Some(MASKED));

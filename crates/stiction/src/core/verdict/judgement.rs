@@ -66,8 +66,8 @@ impl Judgement {
     }
 
     /// Probability of the answer that is given; `None` where none is.
-    pub(super) fn confidence(&self, p_stiction: f64) -> Option<f64> {
-        self.verdict.stiction().map(|_| p_stiction.max(1.0 - p_stiction))
+    pub(super) fn confidence(&self, p_calibrated: f64) -> Option<f64> {
+        self.verdict.stiction().map(|_| p_calibrated.max(1.0 - p_calibrated))
     }
 }
 

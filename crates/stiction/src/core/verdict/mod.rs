@@ -15,6 +15,7 @@ mod group;
 mod judgement;
 mod params;
 pub(crate) mod plausible;
+pub mod prevalence;
 mod process;
 pub mod rule;
 mod screen;
@@ -28,10 +29,11 @@ pub use crate::core::detect::Indicator;
 pub use crate::core::ident::{DelayChoice, ModelChoice, ValveChoice};
 pub use assess::{assess, assess_in_windows, figures, is_screened_out};
 pub use document::{
-    Assessment, Controller, CountedBy, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement,
+    Assessment, Controller, CountedBy, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement, NO_VALVE,
     Oscillation, Process, Search, Verdict, Window, reasons,
 };
 pub use gates::is_fraction;
 pub use params::AssessParams;
-pub use screen::{P_CALM, SCREENED};
+pub use prevalence::for_prevalence;
+pub use screen::SCREENED;
 pub use valve_position::ValvePosition;

@@ -1,8 +1,9 @@
 //! Options of an assessment.
 
 use super::plausible::Range;
+use super::prevalence::PREVALENCE;
 use crate::core::ident::Options;
-use crate::core::units::LoopKind;
+use crate::core::units::{FinalElement, LoopKind};
 
 /// All options of [`super::assess`]. The defaults are the daemon's.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,8 +18,12 @@ pub struct AssessParams {
     pub op_range: Option<[f64; 2]>,
     /// Unit of OP, for the words.
     pub op_unit: Option<String>,
+    /// Share of such loops whose valve sticks, 0..1: what `p_stiction` assumes. No verdict or alarm depends on it.
+    pub prevalence: f64,
     /// Controlled quantity.
     pub kind: LoopKind,
+    /// What OP moves: only a valve is judged for stiction.
+    pub final_element: FinalElement,
     /// Fit in any case, as `analyze` does; the daemon waits for `min_periods` or as many reversals of OP.
     pub always_fit: bool,
     /// Screen calm loops without a fit, unless `always_fit`: see `screened` among the reasons in documents.
@@ -35,7 +40,9 @@ impl Default for AssessParams {
             min_reversals: 1,
             op_range: None,
             op_unit: None,
+            prevalence: PREVALENCE,
             kind: LoopKind::Other,
+            final_element: FinalElement::Valve,
             always_fit: false,
             screening: true,
             fit: Options::default(),

@@ -2,8 +2,8 @@
 //!
 //! Most windows of most plants are of loops that do not oscillate and have a constant set point. If PV also does not move in
 //! jumps and no simulated stem predicts PV better than OP, a full assessment would end at `not_oscillating` for about a hundred
-//! times the work. Such a window gets that verdict at once. Values not computed are null, `reason` is `screened`, and the
-//! probability is the classifier's average for such loops.
+//! times the work. Such a window gets that verdict at once. Values not computed, the probability among them, are null, and
+//! `reason` is `screened`.
 
 use super::document::{Assessment, Gate, Verdict};
 use super::features::Features;
@@ -15,8 +15,6 @@ use crate::core::signal::stats;
 
 /// `reason` of a screened window.
 pub const SCREENED: &str = "screened";
-/// Average probability that the classifier gives to screened loops; checked by a test.
-pub const P_CALM: f64 = 0.2;
 
 /// Largest spread of the set point, relative to PV's, that counts as constant.
 const RESTS: f64 = 0.02;
@@ -76,12 +74,9 @@ fn may_oscillate(of: Option<Oscillates>) -> bool {
 /// The assessment of a screened window, of which `whole` holds oscillation, checks and evidence.
 pub(crate) fn answer(whole: Assessment) -> Assessment {
     let verdict = Verdict::NotOscillating;
-    let confidence = Some(P_CALM.max(1.0 - P_CALM));
     Assessment {
         verdict,
         stiction: verdict.stiction(),
-        p_stiction: Some(P_CALM),
-        confidence,
         reason: Some(SCREENED),
         indicators: Rule::shipped().indicators(&Features::default()),
         ..whole

@@ -42,7 +42,7 @@ const TUNING: Text = Text {
     id: "tuning",
     short: "tuning",
     sentence: "the loop oscillates, most likely because of its tuning",
-    action: "review the controller's gain and integral time",
+    action: "with operations' consent review the tuning: on an integrating loop lengthen the integral time first, elsewhere lower the gain",
 };
 const CAUSE_UNKNOWN: Text = Text {
     id: "cause_unknown",

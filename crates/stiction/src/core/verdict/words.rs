@@ -9,7 +9,7 @@ use crate::core::verdict::answer::{self, Scale, Standing};
 use crate::core::verdict::assess::WHOLE_SWING;
 use crate::core::verdict::features::OF_THE_FIT;
 pub use crate::core::verdict::texts::capital;
-use crate::core::verdict::{Assessment, Gate, Implausible, SCREENED, Verdict, texts};
+use crate::core::verdict::{Assessment, Gate, Implausible, NO_VALVE, SCREENED, Verdict, texts};
 
 /// The verdict in a sentence.
 #[must_use]
@@ -39,6 +39,7 @@ pub fn claim(a: &Assessment) -> String {
         }
         Standing::Open | Standing::NotSeen => beside_cause(a, a.verdict),
         Standing::NoAnswer => match a.reason {
+            Some(why @ NO_VALVE) => reason(why),
             Some(why) => format!("{}: {}", verdict(a.verdict), reason(why)),
             None => verdict(a.verdict).to_owned(),
         },
@@ -56,7 +57,9 @@ pub fn beside_cause(a: &Assessment, cause: Verdict) -> String {
 #[must_use]
 fn not_seen(a: &Assessment) -> String {
     match a.s_detectable {
-        Some(least) => format!("no sign of stiction above {} found", Scale::of(a).told(least)),
+        Some(least) => {
+            format!("no sign of stiction found, bands below {} could easily be missed", Scale::of(a).told(least))
+        }
         None => "no sign of stiction found, detection limit not determinable".to_owned(),
     }
 }
@@ -74,7 +77,7 @@ pub fn reservation(a: &Assessment) -> Option<String> {
         why.push(format!("p {}", probability(p)));
     }
     if thirds_disagree(a) {
-        let said: Vec<String> = a.s_thirds.iter().map(|s| number(*s)).collect();
+        let said: Vec<String> = a.s_thirds.iter().map(|s| people::size(*s)).collect();
         why.push(format!("parts of the window give other sizes: s {}", said.join(", ")));
     } else if at_bound(a) {
         why.push("s reaches the largest value that OP's span allows".to_owned());
@@ -82,7 +85,7 @@ pub fn reservation(a: &Assessment) -> Option<String> {
         match a.s_interval.zip(a.s) {
             Some(([low, high], s)) if (high - low) / s > 0.15 => {
                 let scale = Scale::of(a);
-                let [low, high] = [low, high].map(|end| number(scale.value(end)));
+                let [low, high] = people::interval([low, high].map(|end| scale.value(end)));
                 why.push(format!("90 % interval of s {low} to {high} {}", scale.unit()));
             }
             None => why.push("no interval of s".to_owned()),
@@ -143,7 +146,9 @@ pub fn proposal(a: &Assessment) -> Option<String> {
 /// The probability as it is shown: `not seen` or `open` below the decision threshold, with the figure behind it.
 #[must_use]
 pub fn seen(a: &Assessment) -> String {
-    let Some(p) = a.p_stiction.map(probability) else { return "no answer".to_owned() };
+    let Some(p) = a.p_stiction.map(probability) else {
+        return if a.stiction == Some(false) { "not seen" } else { "no answer" }.to_owned();
+    };
     match Standing::of(a) {
         Standing::Sticks | Standing::Suspected => format!("p {p}"),
         Standing::Open => format!("open (p {p})"),
@@ -162,25 +167,42 @@ pub fn op_unit(a: &Assessment) -> &str {
 #[must_use]
 pub fn sureness(a: &Assessment) -> String {
     let why = || a.reason.map_or_else(|| "a validity check fails".to_owned(), reason);
-    let Some(p) = a.p_stiction else { return format!("No verdict: {}.", why()) };
-    let cuts = a.explanation.map(|e| e.cuts);
-    let below = cuts.map_or_else(String::new, |c| format!(", below the decision threshold of {}", number(c.called)));
-    let said = probability(p);
+    let Some(p) = a.p_stiction else {
+        let said = if a.stiction.is_some() { "No probability" } else { "No verdict" };
+        return format!("{said}: {}.", why());
+    };
+    let said = format!("p {}, {}", probability(p), assumed(a));
     match Standing::of(a) {
-        Standing::NoAnswer if a.reason == Some("masked") => format!("No verdict: {}. With its group, p {said}.", why()),
-        Standing::NoAnswer => format!("No verdict: {}. The indicators alone would give p {said}.", why()),
-        Standing::NotSeen => format!("Stiction not seen (p {said}{below})."),
-        Standing::Open => format!("Whether the valve sticks is open (p {said}{below}, but too high to rule it out)."),
+        Standing::NoAnswer if a.reason == Some("masked") => format!("No verdict: {}. With its group, {said}.", why()),
+        Standing::NoAnswer => format!("No verdict: {}. The indicators alone would give {said}.", why()),
+        Standing::NotSeen => format!("Stiction not seen ({said}{}).", below(a)),
+        Standing::Open => {
+            format!("Whether the valve sticks is open ({said}{}, but too high to rule it out).", below(a))
+        }
         Standing::Sticks | Standing::Suspected => {
             let odds = match p {
-                p if p >= 0.99 => "almost certain",
                 p if p >= 0.9 => "very likely",
                 p if p >= 0.7 => "likely",
-                _ => "more likely than not",
+                p if p >= 0.5 => "more likely than not",
+                _ => "possible",
             };
-            format!("Stiction {odds} (p {said}); {}.", grade(a))
+            format!("Stiction {odds} ({said}); {}.", grade(a))
         }
     }
+}
+
+/// What the probability assumes.
+#[must_use]
+pub fn assumed(a: &Assessment) -> String {
+    format!("assuming that {} % of such loops stick", number(100.0 * a.prevalence))
+}
+
+/// The calibrated probability against the threshold that it does not reach.
+fn below(a: &Assessment) -> String {
+    let threshold = a.p_calibrated.zip(a.explanation.map(|e| e.cuts.called));
+    threshold.map_or_else(String::new, |(p, called)| {
+        format!("; {} where half stick, below the threshold of {}", probability(p), number(called))
+    })
 }
 
 fn grade(a: &Assessment) -> String {
@@ -210,6 +232,7 @@ pub fn reason(name: &str) -> String {
         "op_held" => "OP is stored too seldom within a cycle to show what the valve received",
         "not_fitted" => "no model could be fitted",
         "masked" => "the loop follows an oscillation that it shares with others, which hides the state of its valve",
+        NO_VALVE => "the final element is declared to be no valve, so stiction is not judged",
         "screened" => "the loop is calm, so only the screening was computed",
         _ => "",
     };
@@ -258,18 +281,18 @@ pub fn size(a: &Assessment) -> Option<String> {
         format!(
             "{}, at least {}: the estimate or its interval reaches OP's span, the largest possible value",
             scale.told(s),
-            number(scale.value(least))
+            people::interval([scale.value(least); 2])[0]
         )
     } else {
         let interval = a.s_interval.map(|ends| {
-            let [low, high] = ends.map(|end| number(scale.value(end)));
+            let [low, high] = people::interval(ends.map(|end| scale.value(end)));
             format!(", 90 % interval {low} to {high}{}", if a.op_range.is_some() { " %" } else { "" })
         });
         format!("{}{}", scale.told(s), interval.unwrap_or_default())
     };
     // Where slip and play look alike fs and fd are not known apart.
     if let (Some(fs), Some(fd), Some(true)) = (a.fs, a.fd, a.j_identifiable) {
-        let [fs, fd] = [fs, fd].map(|band| number(scale.value(band)));
+        let [fs, fd] = [fs, fd].map(|band| people::size(scale.value(band)));
         text = format!("{text}; static band {fs}, kinetic band {fd} {}", scale.unit());
     }
     match (a.severity_by_range, a.s_over_span) {
@@ -404,6 +427,8 @@ pub fn unknowns(a: &Assessment) -> Vec<String> {
         );
     } else if let Some(why) = disbelief(a) {
         out.push(why);
+    } else if a.reason == Some(NO_VALVE) {
+        // There is no valve whose size would be open.
     } else if a.s.is_none() {
         out.push("the size: no model was fitted".to_owned());
     } else if a.j_identifiable == Some(false) {
@@ -454,6 +479,7 @@ mod tests {
             verdict: Verdict::Deadband,
             stiction: Some(true),
             p_stiction: Some(0.97),
+            p_calibrated: Some(0.97),
             confidence: Some(0.97),
             grade: Some('A'),
             s: Some(2.0),
@@ -475,17 +501,17 @@ mod tests {
     #[test]
     fn a_result_below_the_threshold_is_not_seen_with_its_limit_never_healthy() {
         let mut a = Assessment { verdict: Verdict::Tuning, stiction: Some(false), grade: Some('C'), ..sticking() };
-        a.p_stiction = Some(0.17);
+        (a.p_stiction, a.p_calibrated) = (Some(0.17), Some(0.17));
         a.s_detectable = Some(1.25);
         let text = format!("{} {} {} {}", headline(&a), sureness(&a), advice(&a), seen(&a));
-        for part in ["no sign of stiction above 1.25 OP units", "not seen (p 0.17", "A band below 1.25"] {
+        for part in ["bands below 1.3 OP units could easily be missed", "not seen (p 0.17", "Bands below 1.3"] {
             assert!(text.contains(part), "{part}: {text}");
         }
         a.s_detectable = None;
         assert!(headline(&a).contains("detection limit not determinable"));
         assert_eq!(size(&a), None);
         assert!(advice(&a).contains("rules out no band"));
-        a.p_stiction = Some(0.44);
+        (a.p_stiction, a.p_calibrated) = (Some(0.44), Some(0.44));
         let text = format!("{} {} {} {}", headline(&a), sureness(&a), advice(&a), seen(&a));
         assert!(!text.contains("no sign") && !text.contains("not seen") && text.contains("open (p 0.44"), "{text}");
     }
@@ -515,7 +541,7 @@ mod tests {
         assert!(advice(&a).contains("packing") && advice(&a).contains("linkage"), "{}", advice(&a));
         a.j_identifiable = Some(true);
         assert!(!advice(&a).contains("packing"));
-        a.p_stiction = Some(0.6);
+        a.p_calibrated = Some(0.6);
         assert!(headline(&a).starts_with("suspected, below the alarm threshold: "), "{}", headline(&a));
     }
 

@@ -21,11 +21,12 @@ use stiction::core::gap::{DEFAULT_EVALUATIONS, GapOptions};
 use stiction::core::record::{Record, Sample, Signal};
 use stiction::core::units::ns_from_s;
 use stiction_engine::config::Config;
+use stiction_engine::provenance;
 use stiction_files::labelled::whole_record;
 use stiction_files::{LoadedLoop, csv, load_samples};
 use stiction_lab::challenge::score::{Answer, Figures, score};
 use stiction_lab::challenge::{Deck, Split, Truth, TruthCase, seal};
-use stictiond::cli::{Format, Outcome, UsageError, on_all_cores, print, say};
+use stictiond::cli::{Format, Outcome, UsageError, of_build, on_all_cores, print, say};
 
 /// File names in a challenge's folder.
 const RECORDINGS: &str = "recordings";
@@ -130,7 +131,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Command::New(args) => new(args, format),
         Command::Run(args) => answer_all(args, format),
         Command::Withhold(args) => withhold::run(args, format),
-        Command::Score(args) => score_all(args, format),
+        Command::Score(args) => of_build(score_all(args, format), format, &provenance()),
         Command::Calibrate(args) => calibrate::run(args, format),
         Command::Real(args) => real::run(args, format),
         Command::Neighbours(args) => neighbours::run(args, format),

@@ -7,9 +7,9 @@ use anyhow::Context;
 use serde_json::{Value, json};
 
 use super::{ANSWERS, RECORDINGS, answer, opened, read, record_of, write};
-use stictiond::cli::{Format, Outcome, on_all_cores, say};
 use stiction::core::gap::GapOptions;
 use stiction_lab::challenge::Answer as Right;
+use stictiond::cli::{Format, Outcome, on_all_cores, say};
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {

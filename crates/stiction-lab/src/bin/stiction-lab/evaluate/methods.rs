@@ -25,7 +25,7 @@ pub type Answers = [Answer; COUNT];
 /// Asks the published methods, and puts the classifier before them.
 pub fn answers(record: &Record, assessment: &Assessment, integrating: bool) -> Answers {
     let case = Case::new(record, integrating);
-    let classifier = Answer { statistic: assessment.p_stiction, sticks: assessment.stiction };
+    let classifier = Answer { statistic: assessment.p_calibrated, sticks: assessment.stiction };
     core::array::from_fn(|at| at.checked_sub(1).map_or(classifier, |at| ALL[at].answer(&case)))
 }
 

@@ -75,7 +75,7 @@ impl Count {
 
 fn score(one: &Judged) -> Option<Scored> {
     let a = one.result.as_ref().ok();
-    let (answer, p) = (a.and_then(|a| a.stiction), a.and_then(|a| a.p_stiction));
+    let (answer, p) = (a.and_then(|a| a.stiction), a.and_then(|a| a.p_calibrated));
     Some(Scored { truth: one.case.truth()?, answer, p, weight: 1.0 })
 }
 
@@ -116,7 +116,7 @@ fn print_json(judged: &[Judged]) -> anyhow::Result<()> {
             Ok(a) => say(json!({"schema": "stictiond.case.v1", "file": case.file, "label": case.label,
                 "valve": case.valve, "group": case.group, "elapsed_s": elapsed_s,
                 "scored": case.truth().is_some(), "right": case.truth().map(|t| a.stiction == Some(t)),
-                "verdict": a.verdict, "stiction": a.stiction, "p_stiction": a.p_stiction, "s": a.s, "j": a.j,
+                "verdict": a.verdict, "stiction": a.stiction, "p_stiction": a.p_stiction, "p_calibrated": a.p_calibrated, "s": a.s, "j": a.j,
                 "stiction_index": a.stiction_index, "s_over_span": a.s_over_span, "gates": a.gates,
                 "reversals": a.reversals, "oscillation": a.oscillation,
                 "reason": a.reason, "implausible": a.implausible, "doubtful": case.doubtful, "indicators": a.indicators, "explanation": a.explanation}))?,
@@ -254,6 +254,6 @@ fn number(x: Option<f64>) -> String {
 fn brief(a: &Assessment) -> String {
     let gates: Vec<&str> = a.gates.iter().map(|g| g.name()).collect();
     let figures =
-        format!("p {} index {} s/span {}", number(a.p_stiction), number(a.stiction_index), number(a.s_over_span));
+        format!("p {} index {} s/span {}", number(a.p_calibrated), number(a.stiction_index), number(a.s_over_span));
     format!("{:<15} {figures} [{}]", a.verdict.name(), gates.join(", "))
 }

@@ -43,7 +43,7 @@ pub fn print(loops: Loops, format: Format) -> anyhow::Result<()> {
         .map(|(case, a)| {
             let interval = a.s_interval.filter(|_| a.stiction == Some(false));
             let bounded = case.s.zip(interval).map(|(s, [low, high])| (low..=high).contains(&s));
-            (case.kind, Scored { truth: case.sticks, answer: a.stiction, p: a.p_stiction, weight: 1.0 }, bounded)
+            (case.kind, Scored { truth: case.sticks, answer: a.stiction, p: a.p_calibrated, weight: 1.0 }, bounded)
         })
         .collect();
     let cuts = Rule::shipped().cuts;
@@ -94,7 +94,7 @@ pub fn print(loops: Loops, format: Format) -> anyhow::Result<()> {
 fn document(case: &TruthLoop, a: &Assessment) -> serde_json::Value {
     json!({"schema": "stictiond.simulated_case.v1", "seed": case.seed, "moved_by": case.kind, "sticks": case.sticks,
         "s_true": case.s, "right": a.stiction == Some(case.sticks), "verdict": a.verdict, "stiction": a.stiction,
-        "p_stiction": a.p_stiction, "s": a.s, "gates": a.gates, "reason": a.reason, "reversals": a.reversals,
+        "p_stiction": a.p_stiction, "p_calibrated": a.p_calibrated, "s": a.s, "gates": a.gates, "reason": a.reason, "reversals": a.reversals,
         "oscillation": a.oscillation})
 }
 
