@@ -215,7 +215,7 @@ class Assessment:
         )
         return _show.card(self.loop, self.words, [
             ("window, UTC", " to ".join(_show.moment(end) for end in self.window)),
-            ("probability of stiction", None if self.p_stiction is None else f"{self.p_stiction:.2f} if {self.prevalence:.0%} of such loops stick, grade {self.grade or '-'}"),
+            ("probability of stiction", None if self.p_stiction is None else self._sure()),
             ("s, OP units", _show.estimate(self.s, self.s_interval) if self.stiction and self.s else None),
             ("j, OP units", _show.estimate(self.j, self.j_interval) if self.stiction and self.j is not None else None),
             ("detection limit", None if self.s_detectable is None else _show.number(self.s_detectable)),
@@ -224,6 +224,9 @@ class Assessment:
             ("limits", ", ".join(self.gates)),
             ("reason", self.reason),
         ])  # fmt: skip
+
+    def _sure(self) -> str:
+        return f"{self.p_stiction:.2f} if {self.prevalence:.0%} of such loops stick, grade {self.grade or '-'}"
 
     def __str__(self) -> str:
         return self._text
@@ -239,8 +242,8 @@ def assessment_of(document: str, said: str, record: Record | None = None) -> Ass
             "time_constants_s": tuple(process["time_constants_s"]),
             **{name: _interval(process[name]) for name in ("gain_interval", "dead_time_interval_s")},
         })  # fmt: skip
-    plain = ("verdict", "stiction", "p_stiction", "p_calibrated", "prevalence", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable")
-    more = ("stiction_index", "severity_by_range", "valve_model", "reason")
+    plain = ("verdict", "stiction", "p_stiction", "p_calibrated", "prevalence", "confidence", "grade", "s", "j", "fs", "fd")
+    more = ("s_detectable", "stiction_index", "severity_by_range", "valve_model", "reason")
     intervals = ("s_interval", "j_interval", "fs_interval", "fd_interval")
     same: dict[str, Any] = {name: d[name] for name in plain + more}
     same.update({name: _interval(d[name]) for name in intervals})

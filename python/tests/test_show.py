@@ -128,7 +128,7 @@ def test_tables_of_a_notebook_are_escaped(
     assert NASTY in Cells(many._repr_html_()).texts and NASTY in Cells(gap._repr_html_()).texts
     texts = Cells(found._repr_html_()).texts
     assert found.s is not None and found.s_interval is not None and found.words in " ".join(texts)
-    assert _show.estimate(found.s, found.s_interval) in texts and f"{found.p_stiction:.2f}, grade {found.grade}" in texts
+    assert _show.estimate(found.s, found.s_interval) in texts and f"{found.p_stiction:.2f} if 30% of such loops stick, grade {found.grade}" in texts
     many_rows = Cells(stiction.Results([many[0]] * 75)._repr_html_())
     assert many_rows.tags.count("tr") == 1 + 60 + 1 and "and 15 more" in many_rows.texts
 

@@ -142,7 +142,7 @@ const CASES: &[Case] = &[
     Case {
         claim: "p 0.99 is almost certain",
         read: || [0.5, 0.72, 0.96, 0.996].map(|p| told(&estimate(Verdict::Stiction, p))).join("\n"),
-        says: &["Stiction possible (p 0.3, assuming that 30 % of such loops stick)", "p > 0.99, assuming that 30 %"],
+        says: &["Stiction possible (p 0.30, assuming that 30 % of such loops stick)", "p > 0.99, assuming that 30 %"],
         never: &["almost certain", "Stiction very likely (p 0.96"],
     },
     Case {
