@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Makes the Debian package from programs that are built already, with dpkg-deb and binutils alone.
-# Usage: packaging/deb.sh [--binary PATH] [--out FOLDER]; without them target/release/stictiond and target/package. The
+# Usage: packaging/deb.sh [--binary PATH] [--out FOLDER]; without them target/dist/stictiond and target/package. The
 # program stictiond-bridge is taken from beside it.
 # Prints the package's path. The same program, sources and SOURCE_DATE_EPOCH (default: the last commit) give the same bytes.
 # DEBFULLNAME and DEBEMAIL name who answers for the package, DEB_REVISION counts packages of one version.

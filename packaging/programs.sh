@@ -4,7 +4,7 @@ script=packaging/$(basename "$0")
 caller=$PWD
 cd "$(dirname "$0")/.."
 target=${CARGO_TARGET_DIR:-target}
-binary=$target/release/stictiond
+binary=$target/dist/stictiond
 out=$target/package
 
 fail() {
@@ -28,7 +28,7 @@ done
 take_programs() {
     bridge=$(dirname "$binary")/stictiond-bridge
     for program in "$binary" "$bridge"; do
-        [ -x "$program" ] || fail "$program is missing: cargo build --release --locked --features full makes both programs, or --binary PATH"
+        [ -x "$program" ] || fail "$program is missing: cargo build --profile dist --locked --features full makes both programs, or --binary PATH"
     done
     version=$("$binary" --version | sed -n 's/^stictiond \([0-9][^ ]*\).*/\1/p')
     [ -n "$version" ] || fail "$binary does not say its version"

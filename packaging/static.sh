@@ -8,8 +8,8 @@ set -euo pipefail
 . "$(dirname "$0")/programs.sh"
 if [ -z "$given" ]; then
     platform=$(uname -m)-unknown-linux-musl
-    CARGO_INCREMENTAL=0 cargo build --release --locked --features full --target "$platform" >&2
-    binary=$target/$platform/release/stictiond
+    cargo build --profile dist --locked --features full --target "$platform" >&2
+    binary=$target/$platform/dist/stictiond
     if readelf -d "$binary" | grep -q '(NEEDED)'; then
         fail "$binary is linked to libraries"
     fi

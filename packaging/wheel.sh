@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes a Python wheel of programs that are built already, so that `pip install stictiond-*.whl` installs them. It holds no
 # Python code and fits every Python 3; needs binutils, openssl and Python.
-# Usage: packaging/wheel.sh [--binary PATH] [--out FOLDER]; without them target/release/stictiond and target/package. The
+# Usage: packaging/wheel.sh [--binary PATH] [--out FOLDER]; without them target/dist/stictiond and target/package. The
 # program stictiond-bridge is taken from beside it. Prints the wheel's path. The same programs and SOURCE_DATE_EPOCH (default:
 # the last commit) give the same bytes.
 set -euo pipefail

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::Command;
 pub use clap_complete::Shell;
 use serde_json::json;
 
-use crate::cli::{Format, Outcome, say};
+use crate::cli::{Format, Outcome, refuse_existing, say};
 
 /// Options of a program's `manual`.
 #[derive(Debug, clap::Args)]
@@ -65,15 +65,4 @@ pub fn completions(mut command: Command, shell: Shell) -> String {
     let (mut out, program) = (Vec::new(), command.get_name().to_owned());
     clap_complete::generate(shell, &mut command, program, &mut out);
     String::from_utf8_lossy(&out).into_owned()
-}
-
-/// Keeps an existing file from being replaced unasked.
-///
-/// # Errors
-/// The file exists, and `force` was not given.
-pub fn refuse_existing(path: &Path, force: bool) -> anyhow::Result<()> {
-    if path.exists() && !force {
-        bail!("{}: already exists; use --force to replace it", path.display());
-    }
-    Ok(())
 }

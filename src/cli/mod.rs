@@ -19,7 +19,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use crate::runtime::cores;
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::error::ErrorKind;
 use clap::{Parser, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -141,6 +141,17 @@ pub fn of_build(measured: anyhow::Result<Outcome>, format: Format, build: &str) 
     Ok(outcome)
 }
 
+/// Keeps an existing file from being replaced unasked.
+///
+/// # Errors
+/// The file exists, and `force` was not given.
+pub fn refuse_existing(path: &Path, force: bool) -> anyhow::Result<()> {
+    if path.exists() && !force {
+        bail!("{}: already exists; use --force to replace it", path.display());
+    }
+    Ok(())
+}
+
 /// Writes results to a file, or prints them where none is named.
 ///
 /// # Errors
@@ -148,7 +159,7 @@ pub fn of_build(measured: anyhow::Result<Outcome>, format: Format, build: &str) 
 pub fn put(text: &str, out: Option<&Path>, force: bool) -> anyhow::Result<()> {
     match out {
         Some(path) => {
-            manual::refuse_existing(path, force)?;
+            refuse_existing(path, force)?;
             std::fs::write(path, text).with_context(|| path.display().to_string())
         }
         None => Ok(print(text)?),

@@ -7,8 +7,8 @@ use anyhow::{Context, anyhow, bail};
 use clap::Subcommand;
 use serde_json::json;
 
-use crate::cli::manual::refuse_existing;
 use crate::cli::reading::ReadArgs;
+use crate::cli::refuse_existing;
 use crate::cli::{Format, Outcome, UsageError, print, say};
 use crate::commands::convert::{resample, write_store};
 use stiction::core::units::{format_rfc3339, loop_name_from};

@@ -1,7 +1,7 @@
 //! `convert IN OUT`: between tables, recordings and compact stores, chosen by OUT's extension.
 
-use crate::cli::manual::refuse_existing;
 use crate::cli::reading::{ReadArgs, config_of, named};
+use crate::cli::refuse_existing;
 use crate::cli::{Format, Outcome, UsageError};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;

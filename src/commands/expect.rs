@@ -5,8 +5,8 @@ use std::path::{Component, Path, PathBuf};
 
 use anyhow::Context;
 
-use crate::cli::manual::refuse_existing;
 use crate::cli::reading::ReadArgs;
+use crate::cli::refuse_existing;
 use crate::cli::{in_order_on_all_cores, put, stop};
 use crate::commands::test::{Heard, Input, load, report_on};
 use stiction::core::units::significant;

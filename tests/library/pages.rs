@@ -122,7 +122,7 @@ fn the_readme_is_read_to_its_end() {
     // Programs that try this repository look for these two.
     let page = read("README.md");
     let two = fenced(&page, "## Two commands", "sh");
-    assert_eq!(two, ["cargo run --release -- demo", "bash tests/run.sh"]);
+    assert_eq!(two, ["cargo run -- demo", "bash tests/run.sh"]);
 }
 
 #[test]

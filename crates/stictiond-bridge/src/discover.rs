@@ -12,7 +12,7 @@ use crate::opcua::nodes::write;
 use crate::opcua::server::{Event, ServerArgs, open};
 use stiction_files::pairing::{Listing, Seen};
 use stictiond::cli::bus::prefix;
-use stictiond::cli::manual::refuse_existing;
+use stictiond::cli::refuse_existing;
 use stictiond::cli::{Format, Outcome, block_on, note, put};
 
 /// Time limit for opening and closing the session.

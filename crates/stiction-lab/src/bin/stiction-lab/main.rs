@@ -13,10 +13,9 @@ mod repeat;
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{Parser, Subcommand};
 use stiction_engine::provenance;
-use stictiond::cli::manual::{self, ManualArgs, Shell};
-use stictiond::cli::{Outcome, OutputArgs, exit_code, log, of_build, parse, print};
+use stictiond::cli::{Outcome, OutputArgs, exit_code, log, of_build, parse};
 
 /// Check the gap diagnosis on withheld causes, and calibrate the classifier, the intervals and the rules for plants.
 ///
@@ -40,13 +39,6 @@ enum Command {
     Repeat(repeat::Args),
     /// Time the comparison of 1,000, 10,000 and 100,000 loops, of which one in five oscillates.
     Fleet,
-    /// Write man pages, one per command.
-    Manual(ManualArgs),
-    /// Print completions for a shell.
-    Completions {
-        /// The shell.
-        shell: Shell,
-    },
 }
 
 /// Reads the command line and runs one command.
@@ -70,10 +62,5 @@ fn run(cli: &Cli) -> anyhow::Result<Outcome> {
         Command::Causes(args) => of_build(causes::run(args, format), format, &provenance()),
         Command::Repeat(args) => repeat::run(args, format),
         Command::Fleet => fleet::run(format),
-        Command::Manual(args) => manual::run(Cli::command(), args, format),
-        Command::Completions { shell } => {
-            print(&manual::completions(Cli::command(), *shell))?;
-            Ok(Outcome::Done)
-        }
     }
 }
