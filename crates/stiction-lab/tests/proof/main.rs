@@ -26,7 +26,6 @@ mod val_labelled;
 mod val_plausible;
 mod val_pool;
 mod val_stick_index;
-mod val_typical;
 
 /// So many cases in the usual run, so many in the long one (`tests/run.sh --all`).
 fn cases<T>(usual: T, long: T) -> T {

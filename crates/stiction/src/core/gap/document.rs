@@ -22,7 +22,6 @@ use super::types::{
     Alternative, Base, Cause, Compared, EffectResult, Ended, Fit, Forward, FromSp, GapOptions, NONE, NextTest,
     NoiseModels, Parameter, Stage, UNKNOWN,
 };
-use super::typical::{self, Known, TypicalNote};
 use super::valve_note::ValveNote;
 use crate::core::record::Record;
 use crate::core::signal::stats;
@@ -323,9 +322,6 @@ pub struct GapDocument {
     /// What the record can tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tellable: Option<TellableNote>,
-    /// How far the record lies from those that the cause's probability was calibrated on.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub typical: Option<TypicalNote>,
     /// The windows that were decided together, if there are several; all else but the answer is of the one that is `shown`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pooled: Vec<WindowNote>,
@@ -418,7 +414,6 @@ impl GapDocument {
             from_sp: diagnosis.from_sp,
             budget,
             tellable,
-            typical: Known::shipped().note(&typical::place(&diagnosis.findings.basis, &diagnosis.features)),
             pooled: Vec::new(),
             neighbours: diagnosis.findings.neighbours.clone(),
             version: crate::core::VERSION.to_owned(),

@@ -6,7 +6,7 @@ use super::effects;
 use super::evidence::{Basis, Evidence};
 use super::model::Model;
 use super::neighbour::Load;
-use super::probability::{Calibration, Features};
+use super::probability::Calibration;
 use super::sizes::share_left;
 use super::types::{
     Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, FromSp, NONE, NextTest,
@@ -161,13 +161,11 @@ pub struct Diagnosis {
     pub second: Option<Alternative>,
     /// Other answers, best first.
     pub alternatives: Vec<Alternative>,
-    /// What the cause's probability was made of, for calibrations.
-    pub features: Features,
     /// The base with the cause, or the base itself.
     pub model_after: Model,
     /// Free runs for the record's points.
     pub predictions: Predictions,
-    /// The base, and the base with the cause where a search or a replay fitted that, on all of the record: what the budget begins from.
+    /// The base, and the base with the cause where a search fitted that, on all of the record: what the budget begins from.
     /// Nothing was held out, so that their errors and gaps say nothing.
     pub fits_to_all: Vec<Fit>,
     /// Forward in time; `None` where the parts are too short.
@@ -185,7 +183,7 @@ impl Diagnosis {
         let after = findings.fit_of(&decision).unwrap_or(&findings.base);
         let predictions = Predictions { pv_base: findings.shown(&findings.base), pv_after: findings.shown(after) };
         let model_after = after.model.clone();
-        let Decision { mut cause, second, alternatives, features, .. } = decision;
+        let Decision { mut cause, second, alternatives, .. } = decision;
         let Runs { forward, from_sp, next_test, fits_to_all } = runs;
         cause.confirmed = findings.is_confirmed(&cause, forward);
         Self {
@@ -193,7 +191,6 @@ impl Diagnosis {
             cause,
             second,
             alternatives,
-            features,
             model_after,
             predictions,
             fits_to_all,

@@ -48,7 +48,6 @@ mod structure;
 pub mod text;
 mod traces;
 pub(crate) mod types;
-pub(crate) mod typical;
 mod valve_note;
 mod valve_signal;
 mod weigh;

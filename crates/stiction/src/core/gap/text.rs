@@ -42,7 +42,6 @@ pub fn of_gap(d: &GapDocument) -> String {
     });
     parts.extend(budget::why_unsure(d).filter(|_| d.good_enough.is_none()));
     parts.extend(beside(d));
-    parts.extend(outside(d));
     if let Some(test) = &d.next_test {
         parts.push(bump(test));
     }
@@ -219,15 +218,6 @@ fn worse_than_mean(d: &GapDocument) -> Option<String> {
         "Unknown: the base model leaves {} of PV's standard deviation on held-out data, more than PV's mean does. Choose a section \
          without trips, trends and data gaps in which OP moves PV, or check that OP and PV are not swapped.",
         percent(100.0 * left)
-    ))
-}
-
-/// Said of a probability that holds for other loops.
-fn outside(d: &GapDocument) -> Option<String> {
-    let typical = d.typical.as_ref().filter(|typical| typical.outside)?;
-    Some(format!(
-        "p is outside the range of what it was calibrated on: of the calibration's records {} lie as far from the others",
-        percent(100.0 * typical.p)
     ))
 }
 
