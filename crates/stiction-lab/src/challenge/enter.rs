@@ -75,8 +75,7 @@ impl Made {
             | Kind::ColouredNoise
             | Kind::UpstreamCycle
             | Kind::InteractingLoop
-            | Kind::Upsets
-            | Kind::WanderingCycle => self.enter_load(kind, size, scale, draw),
+            | Kind::Upsets => self.enter_load(kind, size, scale, draw),
             Kind::ExtraLag
             | Kind::StaticNonlinearity
             | Kind::InverseResponse
@@ -251,7 +250,6 @@ impl Made {
                 (shape, 1.8 * size * scale.pv_sd * unit)
             }
             Kind::ColouredNoise => return self.enter_coloured(size, scale, draw),
-            Kind::WanderingCycle => return self.enter_stochastic_cycle(size, scale, draw),
             Kind::UpstreamCycle => {
                 let period = scale.period * draw.log_between(0.35, 2.5);
                 self.note("period", period, "samples");
@@ -298,35 +296,6 @@ impl Made {
         self.form = Some(if walk { "random walk" } else { "first order" });
         self.note("sd", sd, "pv");
         self.drive.on_pv.iter_mut().zip(series).for_each(|(x, more)| *x += sd * more);
-    }
-
-    /// A rotation that is damped and driven by noise (Harvey 1989), on PV.
-    fn enter_stochastic_cycle(&mut self, size: f64, scale: &Scale, draw: &mut Draw) {
-        let is_near = draw.chance(0.25);
-        let ratio = loop {
-            let ratio = draw.log_between(0.3, 4.0);
-            // The loop's own period and those of its overtones.
-            let near = |h: f64| (ratio * h - 1.0).abs() < 0.15;
-            if [1.0, 2.0, 3.0].into_iter().any(near) == is_near {
-                break ratio;
-            }
-        };
-        let period = ratio * scale.period;
-        let coherence = draw.log_between(3.0, 10.0);
-        let sd = 1.5 * size * scale.pv_sd;
-        self.form = Some(if is_near { "near the loop's own" } else { "apart" });
-        self.note("period", period, "samples");
-        self.note("coherence", coherence, "periods");
-        self.note("sd", sd, "pv");
-        let turn = 2.0 * core::f64::consts::PI / period;
-        let r = libm::exp(-1.0 / (coherence * period));
-        let driven = sd * (1.0 - r * r).sqrt();
-        let (sin, cos) = (r * libm::sin(turn), r * libm::cos(turn));
-        let (mut s, mut c) = (sd * draw.gaussian(), sd * draw.gaussian());
-        for x in &mut self.drive.on_pv {
-            *x += c;
-            (s, c) = (s * cos + c * sin + driven * draw.gaussian(), c * cos - s * sin + driven * draw.gaussian());
-        }
     }
 
     fn enter_neighbour(&mut self, size: f64, scale: &Scale, draw: &mut Draw) {

@@ -97,8 +97,6 @@ pub enum Kind {
     SluggishFall,
     /// Several external steps and short pulses.
     Upsets,
-    /// An external oscillation whose phase and amplitude wander.
-    WanderingCycle,
 }
 
 impl Kind {
@@ -145,8 +143,8 @@ impl Kind {
         Self::RandomFriction,
     ];
 
-    /// Effects that the budget alone names, outside every usual deck.
-    pub const OF_BUDGET: [Self; 2] = [Self::Upsets, Self::WanderingCycle];
+    /// The effect that the budget alone names, outside every usual deck.
+    pub const OF_BUDGET: Self = Self::Upsets;
 
     /// Its id, as in the catalogue if it is there.
     #[must_use]
@@ -186,7 +184,6 @@ impl Kind {
             Self::RandomFriction => "random_friction",
             Self::SluggishFall => "sluggish_fall",
             Self::Upsets => "upsets",
-            Self::WanderingCycle => "wandering_cycle",
         }
     }
 
@@ -217,8 +214,7 @@ impl Kind {
             | Self::ColouredNoise
             | Self::InteractingLoop
             | Self::UpstreamCycle
-            | Self::Upsets
-            | Self::WanderingCycle => Stage::Disturbance,
+            | Self::Upsets => Stage::Disturbance,
             Self::Quantisation
             | Self::HoldCompression
             | Self::SwingingDoor
@@ -252,7 +248,7 @@ mod tests {
 
     #[test]
     fn ids_are_distinct_and_the_two_lists_share_none() {
-        let all: Vec<Kind> = Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN).chain(Kind::OF_BUDGET).collect();
+        let all: Vec<Kind> = Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN).chain([Kind::OF_BUDGET]).collect();
         let ids: BTreeSet<&str> = all.iter().map(|k| k.id()).collect();
         assert_eq!(ids.len(), all.len());
         assert!(Kind::FOREIGN.iter().all(|k| !k.is_in_catalogue()));

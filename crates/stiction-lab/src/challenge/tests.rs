@@ -86,7 +86,7 @@ fn loop_and_scale() -> (Made, Scale) {
 fn an_effect_of_size_nothing_is_no_effect() {
     let (none, scale) = loop_and_scale();
     let plain = none.plant.run(&none.drive);
-    for kind in Kind::CATALOGUE.into_iter().chain([Kind::FILTER]).chain(Kind::FOREIGN).chain(Kind::OF_BUDGET) {
+    for kind in Kind::CATALOGUE.into_iter().chain([Kind::FILTER]).chain(Kind::FOREIGN).chain([Kind::OF_BUDGET]) {
         let mut made = none.clone();
         made.enter(kind, 0.0, &scale, &mut Draw::new(3, "neutral"));
         let run = made.plant.run(&made.drive);

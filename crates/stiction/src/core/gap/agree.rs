@@ -4,9 +4,7 @@
 //! Effects are sized twice, by the free run and by the budget's noise model, each blind to something. What both found in one
 //! place is one effect: it has the free run's size, and is confirmed only where both agree.
 
-use super::budget::document::{
-    BudgetNote, DISTURBANCE, NOT_SPLIT, PartNote, UPSETS, VALVE_AND_PROCESS, WANDERING_CYCLE,
-};
+use super::budget::document::{BudgetNote, DISTURBANCE, NOT_SPLIT, PartNote, UPSETS, VALVE_AND_PROCESS};
 use super::decide::LITTLE;
 use super::document::EffectNote;
 use super::effects::{sinusoid, static_nonlinearity, step_load, stiction};
@@ -112,9 +110,8 @@ impl Known<'_> {
 
     /// A wave of the limit cycle's period is what the model of valve and process leaves of that cycle.
     fn fold_own_cycle(&self, parts: &mut Vec<PartNote>) {
-        let waves = [sinusoid::EFFECT.id, WANDERING_CYCLE];
         let is_own = |p: &PartNote| {
-            waves.contains(&p.id.as_str()) && p.parameters.get("period").is_some_and(|q| self.is_own(q.value))
+            p.id == sinusoid::EFFECT.id && p.parameters.get("period").is_some_and(|q| self.is_own(q.value))
         };
         let (own, mut kept): (Vec<PartNote>, Vec<PartNote>) = parts.drain(..).partition(is_own);
         for wave in own {
@@ -228,7 +225,7 @@ mod tests {
 
     #[test]
     fn a_wave_of_the_limit_cycles_period_is_the_valves_own() {
-        let wave = |period: f64| part(WANDERING_CYCLE, 40.0, &[("period", period, "s")]);
+        let wave = |period: f64| part(sinusoid::EFFECT.id, 40.0, &[("period", period, "s")]);
         let of = |period: f64| settled(vec![part(VALVE_AND_PROCESS, 50.0, &[]), wave(period)], &[], None);
         let own = of(76.4);
         assert!(own.len() == 1 && own[0].share_pct == 90.0, "{own:?}");

@@ -1,14 +1,11 @@
 //! The budget and what can be told, as parts of the gap document.
 
-use core::f64::consts::PI;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
 use super::Budget;
-use super::cycle::Cycle;
 use super::parts::Part;
-use super::series::Series;
 use crate::core::gap::effects;
 use crate::core::gap::set_point;
 use crate::core::gap::sizes::Quantity;
@@ -19,8 +16,6 @@ use crate::core::record::Record;
 pub const VALVE_AND_PROCESS: &str = "valve_and_process";
 /// Several loads that step or last a while.
 pub(crate) const UPSETS: &str = "upsets";
-/// An external oscillation of wandering phase and amplitude.
-pub(crate) const WANDERING_CYCLE: &str = "wandering_cycle";
 /// What wanders from outside.
 pub const DISTURBANCE: &str = "disturbance";
 /// Both, where they are not told apart.
@@ -43,14 +38,14 @@ type Sizes = BTreeMap<String, Quantity>;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PartNote {
-    /// `valve_and_process`, the id of an effect or of the cause, `upsets`, `wandering_cycle`, `disturbance`,
+    /// `valve_and_process`, the id of an effect or of the cause, `upsets`, `disturbance`,
     /// `valve_process_and_disturbance`, `noise` or `unexplained`.
     pub id: String,
     /// Share of PV's variance, %; all parts sum to 100. Negative for a part that works against the others.
     pub share_pct: f64,
     /// Its standard deviation, PV units.
     pub sd: f64,
-    /// An effect's sizes, of `wandering_cycle` its `period` (s), `coherence` (periods) and `bandwidth` (Hz); the disturbance's
+    /// An effect's sizes; the disturbance's
     /// `period` (s) and band (`from` and `to`, Hz).
     pub parameters: BTreeMap<String, Quantity>,
     /// Log likelihood that an effect gains under the noise model beyond what its parameters cost, nats; for the cause, what its
@@ -193,8 +188,6 @@ impl BudgetNote {
             split.valve_and_process.into_iter().map(|part| plain(VALVE_AND_PROCESS, part)).collect();
         parts.extend(cause_row);
         parts.extend(budget.searched.parts().iter().enumerate().map(effect));
-        let cycle = budget.cycle.as_ref().zip(split.cycle);
-        parts.extend(cycle.map(|(cycle, share)| cycle_note(cycle, series, plain(WANDERING_CYCLE, share))));
         parts.push(PartNote { parameters: course, ..plain(name, split.disturbance) });
         parts.extend([plain(NOISE, split.noise), plain(UNEXPLAINED, split.unexplained)]);
         let step = budget.smallest_step.map(|size| (effects::step_load::EFFECT.id, size, None));
@@ -217,20 +210,6 @@ impl BudgetNote {
             recorder,
         }
     }
-}
-
-/// The row of an external oscillation of wandering phase.
-fn cycle_note(cycle: &Cycle, series: &Series, row: PartNote) -> PartNote {
-    let quantity = |value: f64, unit: &str| Quantity { value, unit: unit.to_owned() };
-    let period_s = cycle.period * series.point_s;
-    let sizes = [
-        ("period", quantity(period_s, "s")),
-        ("coherence", quantity(cycle.coherence, "1")),
-        // Width at half power of a damped rotation.
-        ("bandwidth", quantity(1.0 / (PI * cycle.coherence * period_s), "Hz")),
-    ];
-    let parameters = sizes.into_iter().map(|(name, size)| (name.to_owned(), size)).collect();
-    PartNote { parameters, gain_nats: Some(cycle.gain), confirmed: Some(false), ..row }
 }
 
 impl EventNote {

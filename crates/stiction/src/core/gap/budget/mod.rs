@@ -7,7 +7,6 @@
 //! both halves confirm the load of another loop.
 
 pub(crate) mod arx;
-mod cycle;
 pub mod document;
 mod halves;
 pub(crate) mod parts;
@@ -21,7 +20,6 @@ pub(super) mod student;
 use super::neighbour::Load;
 use super::types::Fit;
 use crate::core::record::Record;
-use cycle::Cycle;
 use parts::Split;
 use search::{Model, Searched};
 use series::Series;
@@ -53,8 +51,6 @@ pub struct Budget {
     pub searched: Searched,
     /// Whether the halves confirm each effect.
     pub confirmed: Vec<bool>,
-    /// An external oscillation of wandering phase.
-    pub cycle: Option<Cycle>,
     /// The parts.
     pub split: Split,
     /// The least step that would have been named, standard deviations of PV.
@@ -94,8 +90,7 @@ impl Budget {
         let confirmed = (0..searched.added.len()).map(|k| halves::confirm(&model, &searched, k)).collect();
         // The mean of a box holds its share of the noise.
         let by = series.of_pv[1] * (series.box_points as f64).sqrt();
-        let cycle = cycle::find(&series, &searched);
-        let split = parts::split(&series, &model, &searched, cycle.as_ref(), known.noise_sd.map(|sd| sd / by));
+        let split = parts::split(&series, &model, &searched, known.noise_sd.map(|sd| sd / by));
         Some(Self {
             smallest_step: smallest::step(&series, &model, &searched),
             smallest_sinusoid: smallest::sinusoid(&series, &model, &searched),
@@ -103,7 +98,6 @@ impl Budget {
             model,
             searched,
             confirmed,
-            cycle,
             split,
         })
     }
@@ -115,8 +109,7 @@ impl Budget {
             [one] => (self.searched.added[*one].shape.full_id(), self.confirmed[*one]),
             several => (document::UPSETS.to_owned(), several.iter().filter(|k| self.confirmed[**k]).count() >= 2),
         };
-        let cycle = self.cycle.iter().map(|_| (document::WANDERING_CYCLE.to_owned(), false));
-        self.searched.parts().iter().map(name).chain(cycle).collect()
+        self.searched.parts().iter().map(name).collect()
     }
 }
 
@@ -138,8 +131,6 @@ mod tests {
         pub burst: bool,
         pub wild: f64,
         pub drift: f64,
-        /// Standard deviation of a stochastic cycle: period 37, coherence of 6 periods.
-        pub cycle: f64,
     }
 
     /// What PV is made of.
@@ -160,19 +151,14 @@ mod tests {
         }
 
         pub(super) fn run(&self, seed: u64) -> (Record, Truth) {
-            let (mut noise, mut walk, mut turn) = (Noise::new(seed, 1), Noise::new(seed, 2), Noise::new(seed, 3));
+            let (mut noise, mut walk) = (Noise::new(seed, 1), Noise::new(seed, 2));
             let (mut x, mut d, mut sum) = (0.0, 0.0, 0.0);
-            let (fall, angle) = (libm::exp(-1.0 / (6.0 * 37.0)), core::f64::consts::TAU / 37.0);
-            let [sin, cos] = [libm::sin(angle), libm::cos(angle)].map(|x| fall * x);
-            let driven = self.cycle * (1.0 - fall * fall).sqrt();
-            let (mut s, mut c) = (0.0, self.cycle);
             let mut truth = Truth { pv: vec![], process: vec![], effect: vec![], rest: vec![] };
             let (mut op, mut set) = (vec![], vec![]);
             for k in 0..N {
                 d = 0.97 * d + 0.08 * walk.gaussian();
                 let rest = d + 0.05 * noise.gaussian();
-                (s, c) = (s * cos + c * sin + driven * turn.gaussian(), c * cos - s * sin + driven * turn.gaussian());
-                let effect = self.effect(k) + c;
+                let effect = self.effect(k);
                 let y = x + effect + rest;
                 let sp = if (k / 75) % 2 == 0 { 1.0 } else { -1.0 };
                 sum += 0.08 * (sp - y);
@@ -248,21 +234,6 @@ mod tests {
         assert!(row_of_load(&load, |_| 0.0).is_none());
         let half = row_of_load(&load, |k| if k < N / 2 { 0.6 } else { 0.0 });
         assert!(half.is_none_or(|row| row.confirmed == Some(false)));
-    }
-
-    #[test]
-    fn an_external_oscillation_of_wandering_phase_is_named_with_its_period() {
-        let row = |cycle: f64, seed: u64| {
-            let record = Loop { cycle, ..Loop::default() }.run(seed).0;
-            let budget = Budget::of(&record, Known { period: Some(150.0), ..Known::default() }).unwrap();
-            let note = document::BudgetNote::of(&budget, &[], None);
-            assert!((note.parts.iter().map(|part| part.share_pct).sum::<f64>() - 100.0).abs() < 1e-6);
-            note.parts.into_iter().find(|part| part.id == document::WANDERING_CYCLE)
-        };
-        let found: Vec<document::PartNote> = (1..=6).filter_map(|seed| row(0.5, seed)).collect();
-        let right = |part: &&document::PartNote| (part.parameters["period"].value / 37.0 - 1.0).abs() < 0.1;
-        assert!(found.len() >= 4 && found.iter().filter(right).count() == found.len(), "{found:?}");
-        assert!((1..=6).all(|seed| row(0.0, seed).is_none()));
     }
 
     #[test]

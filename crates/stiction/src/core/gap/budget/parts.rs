@@ -7,7 +7,6 @@
 use core::f64::consts::PI;
 
 use super::arx::Fit;
-use super::cycle::Cycle;
 use super::search::{Driver, Model, Searched};
 use super::series::{START, Series};
 use crate::core::signal::stats;
@@ -66,8 +65,6 @@ pub struct Split {
     pub cause: Option<Part>,
     /// Each part of [`Searched::parts`].
     pub effects: Vec<Part>,
-    /// An external oscillation of wandering phase.
-    pub cycle: Option<Part>,
     /// What wanders, as far as its own past predicts it; with valve and process where these are not told from it.
     pub disturbance: Part,
     /// How it moves.
@@ -82,13 +79,7 @@ pub struct Split {
 
 /// Splits a searched series; `noise` is PV's noise over its standard deviation, where it could be read.
 #[must_use]
-pub(crate) fn split(
-    series: &Series,
-    model: &Model,
-    searched: &Searched,
-    cycle: Option<&Cycle>,
-    noise: Option<f64>,
-) -> Split {
+pub(crate) fn split(series: &Series, model: &Model, searched: &Searched, noise: Option<f64>) -> Split {
     let pv = model.design.pv(&model.design.y);
     let y = &pv[START..];
     let fit = &searched.fit;
@@ -102,8 +93,7 @@ pub(crate) fn split(
         None => (model.design.simulated(fit), None),
     };
     let process = process.map(late);
-    let cycle = cycle.map(|cycle| late(cycle.path.clone()));
-    let mut rest = effects.iter().chain(&cause).chain(&cycle).fold(y.to_vec(), |rest, x| difference(&rest, x));
+    let mut rest = effects.iter().chain(&cause).fold(y.to_vec(), |rest, x| difference(&rest, x));
     let mut no_split = process.is_none().then_some(NoSplit::Unstable);
     let mut valve_and_process = None;
     if let Some(x) = &process {
@@ -133,7 +123,6 @@ pub(crate) fn split(
         valve_and_process,
         no_split,
         cause: cause.as_deref().map(part),
-        cycle: cycle.as_deref().map(part),
         disturbance,
         course,
         noise: of(white),
@@ -190,7 +179,7 @@ mod tests {
             let series = of.series_of(record);
             let model = Model::of(&series).unwrap();
             let searched = search(&series, &model);
-            let split = split(&series, &model, &searched, None, None);
+            let split = split(&series, &model, &searched, None);
             let share = |x: &[f64]| covariance(x, &truth.pv) / stats::variance(&truth.pv);
             let process = split.valve_and_process.unwrap_or_else(|| panic!("{seed}: {split:?}"));
             let effects: f64 = split.effects.iter().map(|e| e.share).sum();

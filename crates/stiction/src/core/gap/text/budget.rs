@@ -2,7 +2,7 @@
 
 use super::super::budget::document::{
     BudgetNote, CANNOT_BE_TOLD, DISTURBANCE, EventNote, NOISE, NOT_SPLIT, PartNote, TellableNote, UNEXPLAINED, UPSETS,
-    VALVE_AND_PROCESS, WANDERING_CYCLE,
+    VALVE_AND_PROCESS,
 };
 use super::super::document::GapDocument;
 use super::super::effects;
@@ -139,13 +139,11 @@ fn words(part: &PartNote) -> String {
         id => {
             let sure = match part.confirmed {
                 Some(true) => "confirmed",
-                _ if id == WANDERING_CYCLE => "suspected: one record cannot confirm it",
                 _ => "suspected, not confirmed",
             };
             let gain = part.gain_nats.map_or_else(String::new, |g| format!(" (gain {} nats)", number(g)));
             let what = match id {
                 UPSETS => upsets(&part.events),
-                WANDERING_CYCLE => external_oscillation(part),
                 id => effect::phrase_of(id, &part.parameters),
             };
             format!("{what}, {sure}{gain}")
@@ -160,13 +158,6 @@ fn upsets(events: &[EventNote]) -> String {
         format!("{} PV units{lasts} at {} s", number(event.size), number(event.at_s))
     };
     format!("{} upsets: {}", events.len(), events.iter().map(one).collect::<Vec<_>>().join(", "))
-}
-
-/// An external oscillation by its period and how long it keeps its phase.
-fn external_oscillation(part: &PartNote) -> String {
-    let value = |name: &str| part.parameters.get(name).map_or(f64::NAN, |q| q.value);
-    let (period, periods) = (duration(value("period")), number(value("coherence")));
-    format!("an external oscillation of period {period} that keeps its phase for about {periods} periods")
 }
 
 fn no_split(budget: &BudgetNote) -> Option<String> {
@@ -267,17 +258,6 @@ mod tests {
                 duration(60.0)
             )
         );
-    }
-
-    #[test]
-    fn an_oscillation_that_wanders_is_said_with_its_period() {
-        let mut part = document().budget.unwrap().parts.remove(0);
-        (part.id, part.confirmed, part.gain_nats) = (WANDERING_CYCLE.to_owned(), Some(false), Some(52.0));
-        let size = |value: f64, unit: &str| super::super::super::sizes::Quantity { value, unit: unit.to_owned() };
-        part.parameters =
-            [("period".to_owned(), size(37.0, "s")), ("coherence".to_owned(), size(6.0, "1"))].into_iter().collect();
-        let want = "an external oscillation of period 37 s that keeps its phase for about 6 periods, suspected: one record cannot confirm it (gain 52 nats)";
-        assert_eq!(words(&part), want);
     }
 
     #[test]
