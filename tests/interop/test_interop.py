@@ -453,7 +453,7 @@ GAP = {
 }
 WHERE = {
     "stage": str, "segments": list, "phases": dict, "direction": dict, "bands": list, "level": list, "slips": dict,
-    "onset_s": (float, None), "correlates": list, "signatures": list, "excitation": dict, "op_to_mv": (dict, None),
+    "onset_s": (float, None), "signatures": list, "excitation": dict, "op_to_mv": (dict, None),
     "mv_to_pv": (dict, None),
 }
 

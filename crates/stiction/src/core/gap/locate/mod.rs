@@ -5,7 +5,6 @@
 //! its blocks shuffled (199 times: p from 0.005).
 
 mod band;
-mod correlate;
 mod cycle;
 mod excitation;
 mod held;
@@ -121,22 +120,6 @@ pub struct SlipCount {
     pub extra: Option<u64>,
 }
 
-/// Correlation of the residual with something earlier or simultaneous.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Correlate {
-    /// With what: `op`, `op_move`, `pv`, `op_abs`, `op_squared`, `op_move_sign`, or `squared_with_op_squared`.
-    pub name: String,
-    /// The correlation at the lag at which it is largest, -1..1.
-    pub value: f64,
-    /// That lag, s: the residual comes so much later.
-    pub lag_s: f64,
-    /// Size that chance reaches once in twenty, over all lags tried.
-    pub threshold: f64,
-    /// Share of shuffles that reach it.
-    pub p: f64,
-}
-
 /// A trace of an effect in the data itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -247,8 +230,6 @@ pub struct Location {
     pub onset_s: Option<f64>,
     /// The course of its power.
     pub trend: Course,
-    /// Correlations, strongest first.
-    pub correlates: Vec<Correlate>,
     /// Traces in the data.
     pub signatures: Vec<Trace>,
     /// What the record offers.
@@ -328,7 +309,6 @@ pub(crate) fn locate(record: &Record, subject: &Subject<'_>) -> Location {
         slips: cycle::slips(&held, record.mv.as_deref(), subject.noise_floor),
         onset_s: trend.onset_s,
         trend,
-        correlates: correlate::correlates(&held),
         signatures: subject.signatures.iter().map(trace).collect(),
         excitation: excitation::excitation(&held, record),
         op_to_mv: subject.stages.map(|s| OpToMv { unexplained_pct: s.op_to_mv }),

@@ -161,7 +161,7 @@ fn noise_alone_lies_nowhere() {
     let l = found(|_, _, _| 0.0);
     let tests = [l.uneven.segments, l.uneven.phases, l.uneven.direction, l.uneven.level, l.trend.trend];
     assert!(tests.iter().flatten().filter(|t| t.p < 0.05).count() <= 1, "{tests:?}");
-    assert!(l.onset_s.is_none() && l.correlates.iter().filter(|c| c.p < 0.02).count() <= 1, "{l:?}");
+    assert!(l.onset_s.is_none(), "{l:?}");
     assert_eq!((l.slips.missed, l.slips.extra), (Some(0), Some(0)));
     for band in &l.bands {
         assert!((band.share.unwrap() - band.expected).abs() < 0.1, "{band:?}");
@@ -215,24 +215,6 @@ fn a_gap_at_high_op_is_found_at_its_level() {
     let r2 = l.level_r2.op.unwrap();
     assert!(above > 0.9 && r2.value > 0.5 && r2.p <= 0.02, "{:?} {r2:?}", l.level);
     assert!(l.level.last().unwrap().mean.unwrap() > 0.25);
-}
-
-#[test]
-fn what_the_residual_follows_is_named_first_with_its_lag() {
-    let l = found(|k, op, _| if k >= 6 { 0.05 * (op[k - 6] - 50.0) } else { 0.0 });
-    let first = &l.correlates[0];
-    assert!(first.value > 0.8 && first.p <= 0.01 && first.value > first.threshold, "{:?}", l.correlates);
-    assert!(["op", "pv"].contains(&first.name.as_str()));
-    let op = l.correlates.iter().find(|c| c.name == "op").unwrap();
-    assert!((op.lag_s - 6.0 * TS_S).abs() <= 2.0 * TS_S, "{op:?}");
-    // An even function of OP is not seen by OP itself.
-    let l = found(|k, op, _| 0.02 * (op[k] - 50.0) * (op[k] - 50.0));
-    let by = |name: &str| l.correlates.iter().find(|c| c.name == name).unwrap();
-    assert!(by("op_squared").value > 0.9 && by("op_squared").p <= 0.01 && by("op").value.abs() < 0.5);
-    // Spread that grows with the distance from the middle, without a mean.
-    let l = found(|k, op, _| 0.02 * (op[k] - 50.0) * if k % 2 == 0 { 1.0 } else { -1.0 });
-    let by = |name: &str| l.correlates.iter().find(|c| c.name == name).unwrap();
-    assert!(by("squared_with_op_squared").p <= 0.02 && by("squared_with_op_squared").value > 0.5);
 }
 
 #[test]

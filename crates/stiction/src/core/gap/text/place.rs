@@ -189,16 +189,6 @@ pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
     if let (Some(missed), Some(extra)) = (l.slips.missed, l.slips.extra) {
         row("slips", format!("the model misses {missed} of the valve's and makes {extra} that the valve does not"));
     }
-    let strong: Vec<String> = l
-        .correlates
-        .iter()
-        .filter(|c| c.p <= TOLD_P)
-        .take(3)
-        .map(|c| format!("{} {:+.2} {} s later", c.name, c.value, number(c.lag_s)))
-        .collect();
-    if !strong.is_empty() {
-        row("correlates", strong.join(", "));
-    }
     let met: Vec<&str> = l.signatures.iter().filter(|s| s.met).map(|s| s.id.as_str()).collect();
     if !met.is_empty() {
         row("traces", met.join(", "));
