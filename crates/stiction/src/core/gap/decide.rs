@@ -331,7 +331,7 @@ pub(crate) fn predictable(id: &str) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::evidence::Left;
     use super::super::types::Alone;
     use super::*;
@@ -348,7 +348,7 @@ mod tests {
         }
     }
 
-    fn basis(traces: &[&str]) -> Basis {
+    pub(in crate::core::gap) fn basis(traces: &[&str]) -> Basis {
         let noise =
             NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: false, beyond_first: 0.0 };
         Basis {
@@ -405,7 +405,7 @@ mod tests {
         assert_ne!(said(basis(&[])).id, load);
     }
 
-    fn contender(id: &str, over_floor: f64, evidence: f64, closed_pct: f64) -> Contender {
+    pub(in crate::core::gap) fn contender(id: &str, over_floor: f64, evidence: f64, closed_pct: f64) -> Contender {
         Contender {
             id: id.to_owned(),
             stage: Stage::Process,

@@ -1,12 +1,12 @@
 //! Several windows of one valve: each is diagnosed by itself, and one decision is made from the evidence of all. Level, start and
 //! disturbance stay each window's own.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
 use super::decide::{Decision, decide, holds_out};
-use super::evidence::{Basis, Contender, Evidence, Left};
+use super::evidence::{Basis, Contender, Evidence, Left, OnMv};
 use super::judged::Diagnosis;
 use super::probability::Calibration;
 pub use super::types::PoolError;
@@ -111,7 +111,10 @@ pub fn decide_together(windows: &[Window]) -> Result<Together, PoolError> {
     if windows.len() < 2 {
         return Err(PoolError::Single);
     }
-    let evidence = pooled(&windows.iter().map(|w| &w.evidence).collect::<Vec<_>>());
+    // Sums round by the order of their terms.
+    let mut in_time: Vec<&Window> = windows.iter().collect();
+    in_time.sort_by(|a, b| (a.start_ns, &a.source).cmp(&(b.start_ns, &b.source)));
+    let evidence = pooled(&in_time.iter().map(|w| &w.evidence).collect::<Vec<_>>());
     let decision = decide(&evidence, Calibration::shipped());
     let mut cause = decision.cause.clone();
     cause.confirmed = match cause.id.as_str() {
@@ -180,32 +183,55 @@ fn contender(of: &[&Contender], windows: usize) -> Contender {
 
 fn basis(of: &[&Basis]) -> Basis {
     let most = |is: &dyn Fn(&Basis) -> bool| is_most(of.iter().filter(|b| is(b)).count(), of.len());
-    let mut traces: Vec<(&String, usize)> = Vec::new();
-    for trace in of.iter().flat_map(|b| &b.traces) {
-        match traces.iter_mut().find(|(known, _)| *known == trace) {
-            Some((_, count)) => *count += 1,
-            None => traces.push((trace, 1)),
-        }
-    }
+    let mut counts: BTreeMap<&String, usize> = BTreeMap::new();
+    of.iter().flat_map(|b| &b.traces).for_each(|trace| *counts.entry(trace).or_default() += 1);
+    let mut traces: Vec<(&String, usize)> = counts.into_iter().filter(|(_, count)| *count >= WITH_TRACE).collect();
     traces.sort_by_key(|(_, count)| core::cmp::Reverse(*count));
+    let closes = |trace: &String| median(of.iter().filter_map(|b| b.traces_close.get(trace).copied()));
     let alone: Vec<&Alone> = of.iter().filter_map(|b| b.alone.as_ref()).collect();
-    let by_mv = of[0].by_mv;
     Basis {
-        traces: traces.into_iter().filter(|(_, count)| *count >= WITH_TRACE).map(|(t, _)| t.clone()).collect(),
+        traces_close: traces.iter().filter_map(|(trace, _)| Some(((*trace).clone(), closes(trace)?))).collect(),
+        traces: traces.into_iter().map(|(trace, _)| trace.clone()).collect(),
         filter: most(&|b| b.filter),
-        acts: of[0].acts.clone().filter(|id| most(&|b| b.acts.as_ref() == Some(id))),
+        acts: most_common(of.iter().map(|b| b.acts.clone())),
         skew: median(of.iter().filter_map(|b| b.skew)).filter(|_| most(&|b| b.skew.is_some())),
         noise: models(of.iter().map(|b| &b.noise)),
         alone: is_most(alone.len(), of.len()).then(|| Alone {
             models: models(alone.iter().map(|a| &a.models)),
             tails: median(alone.iter().map(|a| a.tails)).unwrap_or(0.0),
         }),
-        by_mv: by_mv.filter(|_| most(&|b| b.by_mv == by_mv)),
+        coloured_noise: most(&|b| b.coloured_noise),
+        by_mv: most_common(of.iter().map(|b| b.by_mv)),
+        on_mv: on_mv(of),
         base_at_floor: most(&|b| b.base_at_floor),
         base: left(of.iter().map(|b| &b.base)),
         excited: of.iter().any(|b| b.excited),
-        ..of[0].clone()
+        linear: most(&|b| b.linear),
     }
+}
+
+/// What most windows have.
+fn most_common<T: PartialEq>(of: impl ExactSizeIterator<Item = Option<T>>) -> Option<T> {
+    let all: Vec<Option<T>> = of.collect();
+    let count = |value: &Option<T>| all.iter().filter(|other| *other == value).count();
+    let place = all.iter().position(|value| is_most(count(value), all.len()))?;
+    all.into_iter().nth(place).flatten()
+}
+
+/// The ranking on MV by mean evidence, of what most windows ranked.
+fn on_mv(of: &[&Basis]) -> Vec<OnMv> {
+    let ids: BTreeSet<&String> = of.iter().flat_map(|b| b.on_mv.iter().map(|e| &e.id)).collect();
+    let pooled = |id: &String| {
+        let own: Vec<&OnMv> = of.iter().filter_map(|b| b.on_mv.iter().find(|e| e.id == *id)).collect();
+        is_most(own.len(), of.len()).then(|| OnMv {
+            id: id.clone(),
+            evidence: own.iter().map(|e| e.evidence).sum::<f64>() / of.len() as f64,
+            over_floor: median(own.iter().filter_map(|e| e.over_floor)),
+        })
+    };
+    let mut out: Vec<OnMv> = ids.into_iter().filter_map(pooled).collect();
+    out.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+    out
 }
 
 fn left<'e>(of: impl Iterator<Item = &'e Left> + Clone) -> Left {
@@ -240,4 +266,45 @@ fn mean(x: impl Iterator<Item = f64>) -> f64 {
 fn median(x: impl Iterator<Item = f64>) -> Option<f64> {
     let all: Vec<f64> = x.collect();
     (!all.is_empty()).then(|| stats::median(&all))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::decide::tests::{basis, contender};
+    use super::*;
+    use crate::core::gap::Stage;
+
+    #[test]
+    fn the_order_of_windows_changes_nothing() {
+        let ranked = |id: &str, evidence: f64| OnMv { id: id.to_owned(), evidence, over_floor: Some(1.1) };
+        let behind = |evidence: f64| Basis {
+            by_mv: Some(Stage::Process),
+            on_mv: vec![ranked("ramp", evidence), ranked("extra_lag", 0.1)],
+            ..basis(&[])
+        };
+        let bases =
+            [Basis { acts: Some("neighbour(F7)".to_owned()), ..basis(&["outliers"]) }, behind(0.7), behind(0.4)];
+        let window = |(k, basis): (usize, Basis)| Window {
+            source: format!("{k}.csv"),
+            start_ns: k as i64,
+            end_ns: k as i64 + 1,
+            samples: 900,
+            cause: UNKNOWN.to_owned(),
+            probability: 0.5,
+            evidence: Evidence { basis, contenders: vec![contender("ramp", 1.5, 0.3 + 0.1 * k as f64, 60.0)] },
+        };
+        let mut windows: Vec<Window> = bases.into_iter().enumerate().map(window).collect();
+        let said = |windows: &[Window]| {
+            let Together { decision, cause, clearest } = decide_together(windows).unwrap();
+            (decision, cause, windows[clearest].source.clone())
+        };
+        let first = said(&windows);
+        assert_eq!(first.1.id, "ramp", "most windows have it behind the valve position");
+        for turn in 0..3 {
+            windows.rotate_left(1);
+            assert_eq!(said(&windows), first);
+            windows.swap(0, 1);
+            assert_eq!(said(&windows), first, "{turn}");
+        }
+    }
 }
