@@ -32,7 +32,7 @@ pub struct GapOptions {
     pub base: Base,
     /// Ids of effects excluded from the catalogue.
     pub without: Vec<String>,
-    /// Search pairs of effects even if one effect explains the record; otherwise pairs are searched only if needed.
+    /// Try a second effect beside the first even if one explains the record.
     pub pairs: bool,
     /// Most model responses per search; a recorded valve position and pairs add one search each.
     pub budget_evaluations: u64,
