@@ -23,6 +23,7 @@ use anyhow::{Context, bail};
 use clap::error::ErrorKind;
 use clap::{Parser, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
+use stiction_files::FileError;
 
 /// How a command ended. A verdict never changes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,10 +92,23 @@ pub fn exit_code(program: &str, ended: anyhow::Result<Outcome>) -> ExitCode {
         if pipe.into_iter().any(|e| e.kind() == std::io::ErrorKind::BrokenPipe) {
             return Outcome::Done;
         }
-        let _ = writeln!(std::io::stderr(), "{program}: {}", plain(&causes_without_repeats(&error)));
+        let told = causes_without_repeats(&error) + &command_with_option(&error);
+        let _ = writeln!(std::io::stderr(), "{program}: {}", plain(&told));
         if error.is::<UsageError>() { Outcome::Usage } else { Outcome::Failed }
     });
     ExitCode::from(outcome.code())
+}
+
+/// For a table that is refused, the command with the option that settles it.
+fn command_with_option(error: &anyhow::Error) -> String {
+    let files = error.chain().filter_map(|e| e.downcast_ref::<FileError>());
+    let flags = files.filter_map(|e| if let FileError::Export { cause, .. } = e { cause.flags() } else { None }).last();
+    let quoted = |word: String| match word.contains(|c: char| !c.is_alphanumeric() && !"-_./=:,+@%".contains(c)) {
+        true => format!("'{}'", word.replace('\'', "'\\''")),
+        false => word,
+    };
+    let words: Vec<String> = std::env::args().skip(1).map(quoted).collect();
+    flags.map_or_else(String::new, |flags| format!("; for example: stictiond {} {flags}", words.join(" ")))
 }
 
 /// An error and its causes, without a cause that the text already contains.

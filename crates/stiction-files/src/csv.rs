@@ -46,8 +46,9 @@ pub fn rows_of(samples: &[Sample]) -> Vec<Row> {
 }
 
 /// Writes one loop's samples as rows in recorded order and returns how many. `t`, `op` and `pv` are always written, other
-/// columns if the loop has such samples; the first row carries the units of OP and PV in columns of their own. A cell is empty if there is no sample, and where a
-/// row has OP and PV, if its value is missing or of bad quality; elsewhere such a value is `nan`.
+/// columns if the loop has such samples; the first row carries the units of OP and PV in columns of their own. A cell is
+/// empty if there is no sample, and where a row has OP and PV, if its value is missing or of bad quality; elsewhere, and
+/// where empty cells would read otherwise, such a value is `nan`.
 ///
 /// # Errors
 /// Error of the writer.
@@ -62,6 +63,12 @@ pub fn write(one: &LoadedLoop, out: &mut impl Write) -> io::Result<usize> {
     writeln!(out)?;
     let rows = rows_of(&samples);
     let whole = rows.iter().all(|row| row.cells[0].is_some() == row.cells[1].is_some());
+    // Empty cells would read as OP and PV in rows of their own.
+    let only = |a: usize, b: usize| {
+        let has = |row: &Row, at: usize| row.cells[at].is_some_and(|value| value != Value::Missing);
+        rows.iter().filter(|row| has(row, a) && (a == b || !has(row, b))).count()
+    };
+    let whole = whole && only(0, 1).min(only(1, 0)) <= only(0, 0) - only(0, 1);
     for (at, row) in rows.iter().enumerate() {
         write!(out, "{}", format_seconds(row.t_ns))?;
         for column in &shown {

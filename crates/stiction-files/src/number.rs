@@ -34,7 +34,7 @@ const MISSING: &str = "access denied|arc off-line|archive off|bad|blank data|cal
     undefined|unit down|unknown|void|wrong type";
 /// What stands for nothing only by itself or at the start of any text.
 const SIGNS: &str = "-|--|---|?|\\n";
-const STARTS: &str = "bad|[-|#n/|#value|#div|#ref|#num";
+const STARTS: &str = "1.#|-1.#|bad|[-|#n/|#value|#div|#ref|#num";
 
 /// Numbers that loggers and archives write in place of a value.
 const SENTINELS: [f64; 21] = [

@@ -64,7 +64,10 @@ fn fill(mut file: RecordingFile, prefix: &str, loops: &[LoadedLoop]) -> Result<u
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::core::record::{Sample, Signal, Value};
+    use crate::{csv, load_samples};
+    use proptest::prelude::*;
+    use stiction::core::record::{Mode, Sample, Signal, Value};
+    use stiction::core::signal::align::Quality;
 
     #[test]
     fn a_recording_in_memory_is_the_one_that_a_file_would_be() {
@@ -74,5 +77,56 @@ mod tests {
         let [part, target] = ["a.part", "a.mcap"].map(|name| dir.path().join(name));
         assert_eq!(write_loops([&part, &target], "p", ["page", "x"], &loops).unwrap(), 1999);
         assert_eq!(loops_as_recording("p", ["page", "x"], &loops).unwrap(), std::fs::read(&target).unwrap());
+    }
+
+    /// Row by row OP, PV, SP and mode, each a value, missing, or of bad quality.
+    fn loops() -> impl Strategy<Value = LoadedLoop> {
+        let cell = || (0..4_u8, -1000..1000_i32);
+        let rows = proptest::collection::vec((cell(), cell(), proptest::option::of(cell()), 0..3_u8), 2..60);
+        let units = (proptest::option::of("[a-z%]{1,4}"), proptest::option::of("[a-z/]{1,4}"));
+        (rows, units).prop_map(|(rows, (op_unit, pv_unit))| {
+            let mut samples = Vec::new();
+            for (k, (op, pv, sp, mode)) in rows.into_iter().enumerate() {
+                let t_ns = 1_781_510_400_000_000_000 + k as i64 * 1_000_000_000;
+                let number = |signal, (how, v): (u8, i32)| {
+                    let value = if how == 1 { Value::Missing } else { Value::Number(f64::from(v) / 8.0) };
+                    Sample { signal, t_ns, value, quality: (how == 2).then_some(0x8000_0000) }
+                };
+                samples.extend([number(Signal::Op, op), number(Signal::Pv, pv)]);
+                samples.extend(sp.map(|sp| number(Signal::Sp, sp)));
+                let mode = [None, Some(Value::Mode(Mode::Auto)), Some(Value::Missing)][usize::from(mode)];
+                samples.extend(mode.map(|value| Sample { signal: Signal::Mode, t_ns, value, quality: None }));
+            }
+            LoadedLoop { units: [op_unit, pv_unit], ..LoadedLoop::new("FIC101", samples) }
+        })
+    }
+
+    /// What a judgement sees: values that are not bad, by time and signal.
+    fn seen(one: &LoadedLoop) -> Vec<(i64, Signal, Value)> {
+        let mut seen: Vec<_> = one.judged(Quality::Ua).samples.iter().map(|s| (s.t_ns, s.signal, s.value)).collect();
+        seen.sort_by_key(|(t_ns, signal, _)| (*t_ns, *signal));
+        seen
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn tables_and_recordings_carry_the_same_there_and_back(one in loops()) {
+            let dir = tempfile::tempdir().unwrap();
+            let table = |one: &LoadedLoop| {
+                let path = dir.path().join("FIC101.csv");
+                csv::write(one, &mut std::fs::File::create(&path).unwrap()).unwrap();
+                load_samples(&path).unwrap_or_else(|e| panic!("{e}")).loops.remove(0)
+            };
+            let recording = |one: &LoadedLoop| {
+                let path = dir.path().join("a.mcap");
+                std::fs::write(&path, loops_as_recording("p", ["t", "x"], std::slice::from_ref(one)).unwrap()).unwrap();
+                load_samples(&path).unwrap_or_else(|e| panic!("{e}")).loops.remove(0)
+            };
+            for back in [table(&one), recording(&one), recording(&table(&one)), table(&recording(&one))] {
+                prop_assert_eq!(seen(&back), seen(&one));
+                prop_assert_eq!(&back.units, &one.units);
+            }
+        }
     }
 }

@@ -186,3 +186,22 @@ fn two_gateways_that_spell_a_signal_differently_are_two_sources() {
     let named = "L op comes from two sources at once: p/L/op is taken, p/L/OP is ignored";
     assert!(stage.faults().iter().any(|fault| fault.contains(named)), "{:?}", stage.faults());
 }
+
+#[test]
+fn times_in_another_unit_than_ns_are_a_fault_that_names_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = format!("[site]\nprefix = \"p\"\n[recording]\ndir = {:?}\n", dir.path().to_str().unwrap());
+    let (clock, disk) = (Clock::standing(START_NS), Arc::new(SystemDisk) as Arc<dyn Disk>);
+    let mut stage = SimDaemon::start(Config::parse(&text).unwrap(), &text, &clock, &disk, no_receiver).unwrap();
+    stage.deliver("p/L/op", format!(r#"{{"t": {START_NS}, "v": 1}}"#).as_bytes());
+    stage.turn();
+    assert!(!stage.faults().iter().any(|fault| fault.contains("sends times")), "{:?}", stage.faults());
+    for (key, t, unit) in
+        [("p/L/op", START_NS / 1_000_000, "milliseconds"), ("p/L/pv", START_NS / 1_000_000_000, "seconds")]
+    {
+        stage.deliver(key, format!(r#"{{"t": {t}, "v": 1}}"#).as_bytes());
+        stage.turn();
+        let named = format!("{key} sends times in {unit}");
+        assert!(stage.faults().iter().any(|fault| fault.contains(&named)), "{:?}", stage.faults());
+    }
+}

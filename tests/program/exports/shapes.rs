@@ -419,7 +419,7 @@ fn layouts() -> Vec<Shape> {
             "x.csv",
             Form { number: |_| "abc".to_owned(), ..with }.table(tags),
             &[],
-            Refuse("than numbers"),
+            Refuse("which is not a number"),
         ),
     ]
 }
@@ -439,8 +439,36 @@ fn others() -> Vec<Shape> {
     let words = [(50, "Bad Input"), (52, "I/O Timeout"), (54, "No Data"), (56, "Bad Input")]
         .iter()
         .fold(table, |text, (k, word)| text.replace(&line(*k), &bad(*k, word)));
+    let marked = |heads: &[&str]| {
+        let mark = |k: usize| if [50, 52, 54, 56].contains(&k) { ",Bad" } else { ",Good" };
+        let row = |k: usize| line(k).trim_end().to_owned() + &mark(k).repeat(heads.len()) + "\n";
+        let rows: String = (0..ROWS).map(row).collect();
+        format!("Time,41FIC101.OP,41FIC101.PV,{}\n{rows}", heads.join(","))
+    };
+    let sentinels = words.replace("Bad Input", "-9999").replace("I/O Timeout", "-9999").replace("No Data", "-9999");
     let mut all = vec![
         text("Bad Input, I/O Timeout, No Data", "x.csv", words, &[], Must::Read("41FIC101 with 4 missing")),
+        text(
+            "quality columns in a block behind the values",
+            "x.csv",
+            marked(&["41FIC101.OP.Quality", "41FIC101.PV.Quality"]),
+            &[],
+            Must::Read("41FIC101 with 4 missing"),
+        ),
+        text(
+            "one quality column for the row",
+            "x.csv",
+            marked(&["Quality"]),
+            &[],
+            Must::Read("41FIC101 with 4 missing"),
+        ),
+        text(
+            "a number that loggers write for a missing value",
+            "x.csv",
+            sentinels,
+            &[],
+            Ask("--missing=-9999", &["--missing", "-9999"], "41FIC101 with 4 missing"),
+        ),
         Shape {
             name: "workbook with dates",
             files: vec![("x.xlsx", xlsx(&rows(|k| XlsxCell::Date(excel_days(k)))))],

@@ -32,6 +32,7 @@ pub struct Rows {
     t_ns: Option<i64>,
     forward: u64,
     backward: u64,
+    repeated: u64,
 }
 
 /// The samples of a table.
@@ -54,6 +55,7 @@ impl Rows {
         self.out.rows += 1;
         if let Some(last_ns) = self.t_ns.replace(t_ns) {
             self.forward += u64::from(t_ns > last_ns);
+            self.repeated += u64::from(t_ns == last_ns);
             self.backward += u64::from(t_ns < last_ns);
         }
     }
@@ -99,7 +101,7 @@ impl Rows {
             ));
             self.drop_empty();
         }
-        if self.backward > 0 {
+        if self.backward + self.repeated > 0 {
             self.drop_repeated();
         }
         self.order();

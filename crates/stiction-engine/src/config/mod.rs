@@ -570,6 +570,14 @@ mod tests {
 
     proptest! {
         #[test]
+    fn backslashes_in_double_quotes_are_a_fault() {
+        let faults = Config::parse("[site]\nprefix = \"p\"\n[recording]\ndir = \"C:\\recordings\\new\"\n").unwrap_err();
+        let told: Vec<String> = faults.iter().map(ToString::to_string).collect();
+        assert!(told[0].contains("line 4: recording.dir") && told[0].contains("single quotes"), "{told:?}");
+        assert!(Config::parse("[site]\nprefix = \"p\"\n[recording]\ndir = 'C:\\recordings\\new'\n").is_ok());
+    }
+
+    #[test]
         fn any_text_is_answered(text in "[\\[\\]a-z_=\"0-9\\.\\n ,{}#-]{0,200}") {
             let _ = Config::parse(&text);
         }

@@ -206,6 +206,12 @@ impl Axis {
         let from_anywhere = named && (own || self.stamps.first().is_some_and(|s| !s.is_dated()));
         let first_s = if from_anywhere { i64::MIN } else { FIRST_S };
         let clocks = self.clocks(form.as_ref())?;
+        // Some with a zone and some without would be read by two clocks.
+        let local = clocks.iter().position(|(stamp, _)| matches!(stamp, Stamp::Local(_)));
+        let instant = clocks.iter().position(|(stamp, _)| matches!(stamp, Stamp::Instant(_)));
+        if let (Some(local), Some(instant)) = (local, instant) {
+            return Err(self.mixed(local.max(instant), local.min(instant)));
+        }
         let mut t_ns = vec![0; clocks.len()];
         let (mut forward, mut backward, mut twice, mut zoned) = (0, 0, 0, false);
         for rows in groups {
@@ -268,6 +274,17 @@ impl Axis {
         let plausible = |form: &TimeFormat, n: Number| seconds(form, n).is_some_and(|s| (FIRST_S..end_s).contains(&s));
         if let Some(unit) = &self.unit {
             self.doubt_days(unit, &numbers, plausible)?;
+            let others =
+                NUMBERS[..BY_SIZE].iter().map(|(_, form)| form).filter(|form| !matches!(form, TimeFormat::Days(_)));
+            let other =
+                others.into_iter().find(|form| *form != unit && numbers.iter().all(|(_, n)| plausible(form, *n)));
+            if let Some(other) = other.filter(|_| numbers.iter().all(|(_, n)| !plausible(unit, *n))) {
+                let (row, number) = numbers[0];
+                let (named, other) = (unit.word(), other.word());
+                let text =
+                    format!("{:?} contains {}, a time of today in {other}, not in {named}", self.name, number.value);
+                return Err(self.fault(row, text, &format!("use --time-format {other} or --time-format {named}")));
+            }
             let late = numbers.iter().find(|(_, n)| seconds(unit, *n).is_none_or(|s| s >= end_s));
             return late.map_or(Ok(unit.clone()), |(row, number)| {
                 let text =

@@ -196,10 +196,8 @@ impl Finder<'_, '_> {
         let own = is_t && self.is_own();
         let unit = time_unit(&name).or(own.then_some(NS_PER_S)).map(TimeFormat::Epoch);
         let bracketed = super::names::unit(&name).unwrap_or_default();
-        let is_utc = plain(&name.replace(['(', ')', '[', ']'], " ")).split(' ').any(|w| w == "utc" || w == "gmt");
-        let zone = Zone::parse(bracketed).ok().filter(|_| !zone::is_letters(bracketed));
-        let zone = zone.or_else(|| is_utc.then(Zone::utc));
-        let letters = zone.is_none().then(|| zone::letters_of(bracketed)).flatten().filter(|_| unit.is_none());
+        let (zone, letters) = zone::of_heading(&name, bracketed);
+        let letters = letters.filter(|_| unit.is_none());
         TimeColumn { at, clock_at, name, unit, is_t, zone, letters }
     }
 

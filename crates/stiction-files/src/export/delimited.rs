@@ -128,6 +128,10 @@ fn head_of(kept: &[Row], first: usize, usual: usize) -> usize {
 /// Nothing looks like a table, or its rows do not fit its names.
 pub(super) fn table<'t>(text: &'t str, options: &ReadOptions) -> Result<Table<'t>, ExportError> {
     let (delimiter, rows, usual) = split(text, options.delimiter)?;
+    let (text, warnings) = match cut_end(text, delimiter, usual) {
+        Some(kept) => (kept, vec!["the last line is cut short and left out".to_owned()]),
+        None => (text, Vec::new()),
+    };
     let name = DELIMITERS
         .iter()
         .find(|(d, _)| *d == delimiter)
@@ -192,7 +196,16 @@ pub(super) fn table<'t>(text: &'t str, options: &ReadOptions) -> Result<Table<'t
     }
     // Where commas separate cells, Excel and all others write the decimals behind a point.
     let decimal = (delimiter == b',').then_some(Decimal::Point);
-    Ok(Table { names, line, rows: Box::new(rows), units, words, decimal, warnings: Vec::new() })
+    Ok(Table { names, line, rows: Box::new(rows), units, words, decimal, warnings })
+}
+
+/// The text without a last line that has no end and fewer cells than the others; `None` if it has none such.
+fn cut_end(text: &str, delimiter: u8, usual: usize) -> Option<&str> {
+    let at = text.rfind('\n').filter(|at| at + 1 < text.len())? + 1;
+    let last = &text[at..];
+    let cells = last.bytes().filter(|b| *b == delimiter).count() + 1;
+    // A lone cell may be a footer, which has a message of its own.
+    (1 < cells && cells < usual && !last.contains('"')).then(|| &text[..at])
 }
 
 struct TextRows<'t> {
@@ -364,6 +377,7 @@ mod tests {
         ] {
             assert_eq!(rows(&text), Ok(count), "{text}");
         }
+        assert_eq!(rows(&format!("Time,A.OP,A.PV\n{five}2026-01-05T08:00:05Z,4")), Ok(5));
         for (text, part) in [
             (format!("Time,A.OP,A.PV\n{five}end of report\n"), "line 7: \"end of report\" is no row"),
             (format!("Time,Area 4, A.OP,Area 4, A.PV\n{five}"), "line 2: 3 cells"),

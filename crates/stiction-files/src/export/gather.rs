@@ -225,7 +225,7 @@ fn unreadable(tag: &str, text: &str, decimal: Decimal, line: u64) -> ExportError
     let remedy = match number(figures, other) {
         Some(_) if other == Decimal::Comma => "use --decimal comma".to_owned(),
         Some(_) => "use --decimal point".to_owned(),
-        None if text.starts_with(|c: char| c.is_ascii_digit()) => "export the number alone, without a unit".to_owned(),
+        None if text.contains(|c: char| c.is_ascii_digit()) => "export plain numbers".to_owned(),
         None => format!("if it stands for a missing value, use --missing {shown:?}"),
     };
     ExportError::at(line, what, remedy)
@@ -252,7 +252,8 @@ impl Gatherer<'_> {
         let text = match (cell(time.at), time.clock_at.map(cell)) {
             (Cell::Empty, _) => return Ok(None),
             (Cell::Text(date), Some(Cell::Text(clock))) => {
-                joined = format!("{date} {clock}");
+                // Spreadsheets write midnight behind a date.
+                joined = format!("{} {clock}", date.trim_end_matches("00:00:00").trim_end_matches([' ', 'T']));
                 &joined
             }
             (Cell::Text(text), None) => text,
@@ -476,10 +477,10 @@ impl Gatherer<'_> {
                 let at = open.values.iter().position(|(value, _)| *value == Value::Number(found)).unwrap_or(0);
                 let line = self.axes[open.axis].lines.get(open.rows[at] as usize).copied().unwrap_or(0);
                 let what = format!(
-                    "{:?} contains {found}, far from its other values, as loggers write where none is",
+                    "{:?} contains {found:?}, far from its other values, as loggers write where none is",
                     open.tag
                 );
-                let remedy = format!("use --missing={found}, or --missing=none if it is a value");
+                let remedy = format!("use --missing={found:?}, or --missing=none if it is a value");
                 return Err(ExportError::at(line, what, remedy));
             }
         }

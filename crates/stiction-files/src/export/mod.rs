@@ -65,6 +65,16 @@ fn place(line: u64) -> String {
 }
 
 impl ExportError {
+    /// The first option of the remedy, as it can be pasted; `None` if a person must fill something in.
+    #[must_use]
+    pub fn flags(&self) -> Option<&str> {
+        let flags = &self.remedy[self.remedy.find("--")?..];
+        let end = [", ", " or ", " (", "; ", ": "].iter().filter_map(|mark| flags.find(mark)).min();
+        let flags = &flags[..end.unwrap_or(flags.len())];
+        let open = ["TAG", "COLUMN", "…"].iter().any(|word| flags.contains(word));
+        (flags.contains([' ', '=']) && !open).then_some(flags)
+    }
+
     fn at(line: u64, what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { line, what: what.into(), remedy: remedy.into() }
     }

@@ -182,7 +182,7 @@ pub(super) fn is_value(name: &str) -> bool {
 
 /// What a quality column judges: `fic101 pv` for `FIC101.PV Status`, nothing for `Quality`; `None` for other headings.
 pub(super) fn quality_of(name: &str) -> Option<String> {
-    const WORDS: &str = "quality|qual|status|confidence|qualität|statuscode|opcquality|isgood|qualité|calidad|\
+    const WORDS: &str = "quality|qual|status|confidence|qualität|statuscode|opcquality|isgood|isvalid|valid|qualité|calidad|\
         quality code|status code|opc quality";
     let name = plain(name);
     // Data tools number headings that occur twice.
@@ -191,8 +191,15 @@ pub(super) fn quality_of(name: &str) -> Option<String> {
         "" => Some(String::new()),
         of => of.strip_suffix(' ').map(str::to_owned),
     };
+    // Behind a tag, short words and DeltaV's `.ST` do too.
+    let short = || ["q", "st", "sts", "qc", "valid"].iter().find_map(|word| name.strip_suffix(word)?.strip_suffix(' '));
     let first = |word: &&str| name.strip_prefix(*word)?.strip_prefix(' ').map(str::to_owned);
-    WORDS.split('|').filter_map(parts).min_by_key(String::len).or_else(|| ["quality", "status"].iter().find_map(first))
+    WORDS
+        .split('|')
+        .filter_map(parts)
+        .min_by_key(String::len)
+        .or_else(|| ["quality", "status"].iter().find_map(first))
+        .or_else(|| short().map(str::to_owned))
 }
 
 /// A unit of time, ns.

@@ -206,7 +206,11 @@ fn close(group: Group, own: bool, warnings: &mut Vec<String>) -> Result<LoadedLo
         // Where most cells are empty the rows are other tags' own; set points and modes are written when they change.
         let drop = !matches!(signal, Signal::Op | Signal::Pv) || 2 * empty > series.samples.len();
         let kept = series.samples.into_iter().filter(|taken| !(drop && taken.empty));
-        samples.extend(kept.map(|taken| of_row(signal, taken)));
+        let mut own: Vec<Sample> = kept.map(|taken| of_row(signal, taken)).collect();
+        own.sort_by_key(|s| s.t_ns);
+        // Overlapping exports bring rows twice.
+        own.dedup();
+        samples.append(&mut own);
     }
     // Stable: signals of one time stay in the order of `Signal::ALL`.
     samples.sort_by_key(|s| s.t_ns);

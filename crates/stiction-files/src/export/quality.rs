@@ -86,7 +86,7 @@ pub(super) fn convention(
     }
     let all = |inside: fn(i64) -> bool| counts.keys().all(|code| inside(*code));
     let any = |inside: fn(i64) -> bool| counts.keys().any(|code| inside(*code));
-    let flag = name.to_lowercase().contains("good") && all(|c| c == 0 || c == 1);
+    let flag = ["good", "valid"].iter().any(|word| name.to_lowercase().contains(word)) && all(|c| c == 0 || c == 1);
     if flag {
         Ok(Codes::Flag)
     } else if all(|c| (0..=255).contains(&c)) && any(|c| c >= 192) {

@@ -74,6 +74,20 @@ pub(super) fn letters_of(word: &str) -> Option<Letters> {
     known.then(|| std::array::from_fn(|at| word.as_bytes().get(at).copied().unwrap_or(0)))
 }
 
+/// The zone that a heading names, in brackets or as `UTC` with or without hours behind it; or letters such as CET.
+pub(super) fn of_heading(name: &str, bracketed: &str) -> (Option<Zone>, Option<Letters>) {
+    if let Some(letters) = letters_of(bracketed) {
+        return (None, Some(letters));
+    }
+    let named = Zone::parse(bracketed).ok().filter(|_| !bracketed.is_empty() && !is_letters(bracketed));
+    let words = name.split([' ', '(', ')', '[', ']', '_', '/']).filter(|word| !word.is_empty());
+    let of_word = |word: &str| {
+        let start = word.get(..3).filter(|start| ["utc", "gmt"].contains(&start.to_lowercase().as_str()))?;
+        Zone::parse(if word.len() == start.len() { "UTC" } else { &word[3..] }).ok()
+    };
+    (named.or_else(|| words.filter_map(of_word).last()), None)
+}
+
 /// A time zone as requested.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Zone {
@@ -327,6 +341,23 @@ mod tests {
             let letters = time.rsplit(' ').next().unwrap();
             assert!(told.contains(letters) && told.contains(zone) && told.contains("--tz"), "{told}");
         }
+    }
+
+    #[test]
+    fn headings_name_zones() {
+        let of = |name: &str, bracketed: &str| of_heading(name, bracketed).0.map(|zone| zone.name().to_owned());
+        for (name, bracketed, zone) in [
+            ("Time (UTC)", "UTC", Some("UTC")),
+            ("timestamp_utc", "", Some("UTC")),
+            ("Timestamp GMT+1", "", Some("+1")),
+            ("Time (UTC+02:00)", "UTC+02:00", Some("UTC+02:00")),
+            ("Time (Europe/Berlin)", "Europe/Berlin", Some("Europe/Berlin")),
+            ("Time", "", None),
+            ("Time (local)", "local", None),
+        ] {
+            assert_eq!(of(name, bracketed).as_deref(), zone, "{name}");
+        }
+        assert_eq!(of_heading("Zeit [MESZ]", "MESZ").1, Some(*b"MESZ\0"));
     }
 
     #[test]
