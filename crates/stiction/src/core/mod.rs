@@ -38,7 +38,7 @@ pub mod verdict;
 pub const CALIBRATIONS: [(&str, &[&str]); 3] = [
     ("classifier", &[include_str!("verdict/rule.json")]),
     ("intervals", &[include_str!("ident/interval.json")]),
-    ("gap", &[include_str!("gap/calibration.json"), include_str!("gap/typical.json")]),
+    ("gap", &[include_str!("gap/calibration.json")]),
 ];
 
 /// Version of library and program, as in documents.

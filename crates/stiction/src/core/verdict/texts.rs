@@ -88,8 +88,8 @@ pub(crate) const OPEN_ACTION: &str = "confirm the band by a test; then inspect p
 
 /// Beside the verdict where the probability is neither that of a finding nor that of an unseen band, and what to do then.
 pub(crate) const UNDECIDED: &str = "whether the valve sticks is open";
-pub(crate) const UNDECIDED_ACTION: &str = "judge further windows, or a record in which OP moves more; if the loop matters, check \
-     the valve by small steps of OP in both directions";
+pub(crate) const UNDECIDED_ACTION: &str = "judge further windows, or a record in which OP moves more; if the loop matters, \
+     check the valve with operations' consent by small steps of OP in both directions";
 
 /// With a capital first letter.
 #[must_use]
