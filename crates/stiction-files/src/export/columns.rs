@@ -286,7 +286,7 @@ impl Finder<'_, '_> {
             }
             None => Vec::new(),
         };
-        let (mut marks, mut units): (Vec<(usize, String)>, Vec<(usize, String)>) = (Vec::new(), Vec::new());
+        let [mut marks, mut units]: [Vec<(usize, String)>; 2] = [Vec::new(), Vec::new()];
         for at in (0..self.columns()).filter(|at| !is_time(*at)) {
             let name = self.table.names.get(at).map_or("", String::as_str);
             let tag = match mapped.iter().find(|(column, _)| *column == at) {

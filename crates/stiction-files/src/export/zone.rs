@@ -85,7 +85,7 @@ pub(super) fn of_heading(name: &str, bracketed: &str) -> (Option<Zone>, Option<L
         let start = word.get(..3).filter(|start| ["utc", "gmt"].contains(&start.to_lowercase().as_str()))?;
         Zone::parse(if word.len() == start.len() { "UTC" } else { &word[3..] }).ok()
     };
-    (named.or_else(|| words.filter_map(of_word).last()), None)
+    (named.or_else(|| words.filter_map(of_word).next_back()), None)
 }
 
 /// A time zone as requested.
