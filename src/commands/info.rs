@@ -374,9 +374,6 @@ fn as_text(info: &Info) -> String {
         let shown = if lines > 1 || value.len() > 100 { format!("({lines} lines)") } else { value.clone() };
         let _ = writeln!(text, "  {key:<12}{shown}");
     }
-    if let (Some(start), Some(end)) = (info.start_ns, info.end_ns) {
-        let _ = writeln!(text, "  time        {} to {}", format_rfc3339(start), format_rfc3339(end));
-    }
     if let Some(found) = &info.recognised {
         let _ = writeln!(text, "  read as     {found}");
     }
@@ -385,6 +382,9 @@ fn as_text(info: &Info) -> String {
     }
     if let Some(more) = info.columns.len().checked_sub(COLUMNS + 1) {
         let _ = writeln!(text, "  column      and {} more", more + 1);
+    }
+    if let (Some(start), Some(end)) = (info.start_ns, info.end_ns) {
+        let _ = writeln!(text, "  time        {} to {}", format_rfc3339(start), format_rfc3339(end));
     }
     let _ = writeln!(text, "  messages    {}{}", info.messages, named(&info.results));
     if let Some(each) = info.bytes_per_sample {

@@ -4,58 +4,22 @@ use crate::number::is_one_of;
 use stiction::core::record::Signal;
 use stiction::core::units::{NS_PER_S, loop_name_from};
 
-/// Endings of tags, the strongest of each signal first.
-const ENDS: [(&str, Signal); 48] = [
-    ("OP", Signal::Op),
-    ("OUT", Signal::Op),
-    ("CO", Signal::Op),
-    ("OUTPUT", Signal::Op),
-    ("CONTROLLER_OUTPUT", Signal::Op),
-    ("CONTROL_OUTPUT", Signal::Op),
-    ("CONTROLLER OUTPUT", Signal::Op),
-    ("LMN", Signal::Op),
-    // Yokogawa's and Honeywell's word for the controller output.
-    ("MV", Signal::Op),
-    ("PV", Signal::Pv),
-    ("PROCESS_VALUE", Signal::Pv),
-    ("PROCESSVALUE", Signal::Pv),
-    ("PROCESS VALUE", Signal::Pv),
-    ("PROCESS_VARIABLE", Signal::Pv),
-    ("PROCESS VARIABLE", Signal::Pv),
-    ("ACTUAL_VALUE", Signal::Pv),
-    ("ACTUAL", Signal::Pv),
-    ("MEAS", Signal::Pv),
-    ("MEASUREMENT", Signal::Pv),
-    ("PV_IN", Signal::Pv),
-    ("SP", Signal::Sp),
-    ("SETPOINT", Signal::Sp),
-    ("SET_POINT", Signal::Sp),
-    ("SET POINT", Signal::Sp),
-    ("SV", Signal::Sp),
-    // Foxboro's words are OUT, MEAS and SPT.
-    ("SPT", Signal::Sp),
-    ("WSP", Signal::Sp),
-    ("MODE", Signal::Mode),
-    ("MODE.ACTUAL", Signal::Mode),
-    ("MODE/ACTUAL", Signal::Mode),
-    ("MODE_ACTUAL", Signal::Mode),
-    ("MODE_ACT", Signal::Mode),
-    ("MD", Signal::Mode),
-    ("ZT", Signal::Mv),
-    ("ZI", Signal::Mv),
-    ("POS", Signal::Mv),
-    ("POSITION", Signal::Mv),
-    ("VALVE_POSITION", Signal::Mv),
-    ("VALVE POSITION", Signal::Mv),
-    ("STEM_POSITION", Signal::Mv),
-    ("POSITIONER", Signal::Mv),
-    ("POSITIONER_FEEDBACK", Signal::Mv),
-    ("POSITIONER FEEDBACK", Signal::Mv),
-    ("FEEDBACK", Signal::Mv),
-    ("FBK", Signal::Mv),
-    ("FB", Signal::Mv),
-    ("READBACK", Signal::Mv),
-    ("FINAL_POSITION_VALUE", Signal::Mv),
+/// Endings of tags by signal, the strongest first. MV is Yokogawa's and Honeywell's word for the controller output; Foxboro's
+/// words are OUT, MEAS and SPT.
+const ENDS: [(Signal, &str); 5] = [
+    (Signal::Op, "OP|OUT|CO|OUTPUT|CONTROLLER_OUTPUT|CONTROL_OUTPUT|CONTROLLER OUTPUT|LMN|MV"),
+    (
+        Signal::Pv,
+        "PV|PROCESS_VALUE|PROCESSVALUE|PROCESS VALUE|PROCESS_VARIABLE|PROCESS VARIABLE|ACTUAL_VALUE|\
+         ACTUAL|MEAS|MEASUREMENT|PV_IN",
+    ),
+    (Signal::Sp, "SP|SETPOINT|SET_POINT|SET POINT|SV|SPT|WSP"),
+    (Signal::Mode, "MODE|MODE.ACTUAL|MODE/ACTUAL|MODE_ACTUAL|MODE_ACT|MD"),
+    (
+        Signal::Mv,
+        "ZT|ZI|POS|POSITION|VALVE_POSITION|VALVE POSITION|STEM_POSITION|POSITIONER|\
+         POSITIONER_FEEDBACK|POSITIONER FEEDBACK|FEEDBACK|FBK|FB|READBACK|FINAL_POSITION_VALUE",
+    ),
 ];
 
 /// Separators between a tag and its ending.
@@ -74,7 +38,7 @@ pub struct Role {
     pub loop_name: String,
     /// The signal.
     pub signal: Signal,
-    /// Position in the list of endings: smaller is stronger.
+    /// Position in the list of its signal's endings: smaller is stronger.
     pub rank: usize,
 }
 
@@ -124,20 +88,24 @@ pub fn role(tag: &str) -> Option<Role> {
     let tag = bare(tag);
     let plain = VALUES.split('|').find_map(|end| without(tag, end).filter(|stem| !stem.is_empty()));
     let found = longest_end(tag).or_else(|| longest_end(plain?))?;
-    let (stem, rank) = found;
+    let (stem, signal, rank) = found;
     let stem = BLOCKS.split('|').find_map(|block| without(stem, block).filter(|s| !s.is_empty())).unwrap_or(stem);
     let loop_name = if stem.is_empty() { String::new() } else { loop_name_from(stem) };
-    let signal = match ENDS[rank] {
-        // A column called mv alone is the program's own word for the valve's position.
-        ("MV", _) if stem.is_empty() => Signal::Mv,
-        (_, signal) => signal,
+    // A column called mv alone is the program's own word for the valve's position.
+    let signal = if stem.is_empty() && tag.get(..2).is_some_and(|start| start.eq_ignore_ascii_case("MV")) {
+        Signal::Mv
+    } else {
+        signal
     };
     Some(Role { loop_name, signal, rank })
 }
 
-fn longest_end(tag: &str) -> Option<(&str, usize)> {
-    let fits = ENDS.iter().enumerate().filter_map(|(rank, (end, _))| Some((without(tag, end)?, rank, end.len())));
-    fits.max_by_key(|(_, _, length)| *length).map(|(stem, rank, _)| (stem, rank))
+/// What stands before the longest ending, its signal, and its place among that signal's endings.
+fn longest_end(tag: &str) -> Option<(&str, Signal, usize)> {
+    let ends =
+        ENDS.iter().flat_map(|(signal, ends)| ends.split('|').enumerate().map(|(rank, end)| (end, *signal, rank)));
+    let fits = ends.filter_map(|(end, signal, rank)| Some((without(tag, end)?, signal, rank, end.len())));
+    fits.max_by_key(|(.., length)| *length).map(|(stem, signal, rank, _)| (stem, signal, rank))
 }
 
 /// A heading in lower case without units and punctuation.
