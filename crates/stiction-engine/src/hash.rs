@@ -12,6 +12,6 @@ pub fn short_hash(bytes: &[u8]) -> String {
 /// The version, and short hashes of all that was fitted to data: the last line of commands that measure this build.
 #[must_use]
 pub fn provenance() -> String {
-    let hashes = CALIBRATIONS.map(|(name, files)| format!("{name} {}", &short_hash(files.concat().as_bytes())[..8]));
+    let hashes = CALIBRATIONS.map(|(name, file)| format!("{name} {}", &short_hash(file.as_bytes())[..8]));
     format!("build: stictiond {VERSION}, {}", hashes.join(", "))
 }

@@ -35,10 +35,10 @@ pub mod units;
 pub mod verdict;
 
 /// What was fitted to data, by name: the classifier, the widths of intervals, the decision of the gap diagnosis.
-pub const CALIBRATIONS: [(&str, &[&str]); 3] = [
-    ("classifier", &[include_str!("verdict/rule.json")]),
-    ("intervals", &[include_str!("ident/interval.json")]),
-    ("gap", &[include_str!("gap/calibration.json")]),
+pub const CALIBRATIONS: [(&str, &str); 3] = [
+    ("classifier", include_str!("verdict/rule.json")),
+    ("intervals", include_str!("ident/interval.json")),
+    ("gap", include_str!("gap/calibration.json")),
 ];
 
 /// Version of library and program, as in documents.
