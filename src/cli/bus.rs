@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use crate::runtime::faults::without_places;
+use crate::runtime::tls;
 use anyhow::anyhow;
 
 /// Time limit for connecting.
@@ -40,6 +41,9 @@ pub fn endpoint(text: &str) -> Result<String, String> {
 /// # Errors
 /// Nothing answers there in time.
 pub async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
+    if endpoint.starts_with("tls/") {
+        tls::required(endpoint)?;
+    }
     let mut config = zenoh::Config::default();
     let endpoints = serde_json::to_string(&[endpoint])?;
     let timeout = CONNECT_WITHIN.as_millis().to_string();

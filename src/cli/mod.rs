@@ -6,6 +6,7 @@
 pub mod bus;
 pub mod cpu;
 pub mod log;
+#[cfg(feature = "manual")]
 pub mod manual;
 pub mod reading;
 pub mod selection;

@@ -5,6 +5,7 @@ mod analyze_report;
 mod browser;
 pub mod check;
 pub mod compact;
+#[cfg(feature = "manual")]
 pub mod completions;
 pub mod convert;
 pub mod demo;
@@ -14,6 +15,7 @@ mod fleet;
 pub mod gap;
 pub mod info;
 mod judge;
+#[cfg(feature = "manual")]
 pub mod manual;
 mod plant;
 pub mod play;
@@ -63,7 +65,9 @@ enum CommandArgs {
     Info(info::InfoArgs),
     Recover(recover::Args),
     Schema(schema::Args),
+    #[cfg(feature = "manual")]
     Manual(manual::Args),
+    #[cfg(feature = "manual")]
     Completions(completions::Args),
 }
 
@@ -97,7 +101,9 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Recover(args) => recover::run(&args, format),
         CommandArgs::Schema(args) => schema::run(&args),
+        #[cfg(feature = "manual")]
         CommandArgs::Manual(args) => manual::run(&args, format),
+        #[cfg(feature = "manual")]
         CommandArgs::Completions(args) => completions::run(&args),
     }
 }

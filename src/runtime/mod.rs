@@ -15,4 +15,5 @@ pub mod overview;
 pub mod queue;
 pub mod secrets;
 pub mod series;
+pub mod tls;
 pub mod view;

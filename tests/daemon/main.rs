@@ -6,6 +6,7 @@
 mod crashes;
 #[cfg(target_os = "linux")]
 mod faults;
+#[cfg(feature = "tls")]
 mod hardened;
 mod hostile;
 #[path = "../common/live.rs"]

@@ -206,6 +206,7 @@ fn bad_stores_end_in_a_sentence_with_the_place() {
     }
 }
 
+#[cfg(feature = "manual")]
 #[test]
 fn pages_and_completions_come_from_the_same_text_as_help() {
     let folder = tempfile::tempdir().unwrap();

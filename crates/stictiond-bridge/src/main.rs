@@ -13,6 +13,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 #[cfg(not(feature = "opcua"))]
 use stictiond::cli::UsageError;
+#[cfg(feature = "manual")]
 use stictiond::cli::manual::{self, ManualArgs, Shell};
 use stictiond::cli::{Outcome, OutputArgs, exit_code, log, parse, print};
 
@@ -42,8 +43,10 @@ enum Command {
     #[cfg(not(feature = "opcua"))]
     Discover(Absent),
     /// Write man pages, one per command.
+    #[cfg(feature = "manual")]
     Manual(ManualArgs),
     /// Print completions for a shell.
+    #[cfg(feature = "manual")]
     Completions {
         /// The shell.
         shell: Shell,
@@ -83,7 +86,9 @@ fn run(cli: &Cli) -> anyhow::Result<Outcome> {
             let how = "cargo install --path crates/stictiond-bridge --features opcua";
             Err(UsageError(format!("this build has no OPC UA client; rebuild with `{how}`")).into())
         }
+        #[cfg(feature = "manual")]
         Command::Manual(args) => manual::run(Cli::command(), args, format),
+        #[cfg(feature = "manual")]
         Command::Completions { shell } => {
             print(&manual::completions(Cli::command(), *shell))?;
             Ok(Outcome::Done)

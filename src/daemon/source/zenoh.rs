@@ -17,6 +17,7 @@ use zenoh::sample::{Sample as BusSample, SampleKind};
 
 use super::keys::{ShardFilter, subscriptions};
 use super::{Envelope, Intake};
+use crate::runtime::tls;
 use stiction_engine::codec::topic;
 use stiction_engine::config::Config;
 
@@ -96,6 +97,12 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     set("qos/network", format!("[{}]", stated.collect::<Vec<_>>().join(",")))?;
     if !z.connect.is_empty() {
         set("connect/endpoints", serde_json::to_string(&z.connect)?)?;
+    }
+    if ["listen/endpoints", "connect/endpoints"]
+        .iter()
+        .any(|key| session.get_json(key).is_ok_and(|e| e.contains("\"tls/")))
+    {
+        tls::required("an endpoint tls/...")?;
     }
     Ok(session)
 }

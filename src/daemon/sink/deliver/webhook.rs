@@ -2,13 +2,19 @@
 
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+#[cfg(feature = "tls")]
+use anyhow::Context;
+use anyhow::bail;
 use serde_json::json;
 use ureq::Agent;
+#[cfg(feature = "tls")]
 use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConfig, parse_pem};
 
 use super::{Failure, Item, SEND_WITHIN, Target};
-use crate::runtime::secrets::{pem, secret};
+#[cfg(feature = "tls")]
+use crate::runtime::secrets::pem;
+use crate::runtime::secrets::secret;
+use crate::runtime::tls;
 use stiction_engine::config::Deliver;
 
 /// What a body is.
@@ -25,32 +31,43 @@ pub(super) struct Webhook {
 
 impl Webhook {
     pub fn new(d: &Deliver) -> anyhow::Result<Self> {
+        if d.to.starts_with("https:") {
+            tls::required(&d.to)?;
+        }
         let token = secret(&d.secret_file)?;
         if token.as_ref().is_some_and(|t| t.is_empty() || !t.chars().all(|c| c.is_ascii_graphic())) {
             bail!("secret_file {}: no bearer token found; write one line of printable characters", d.secret_file);
         }
-        let mut tls = TlsConfig::builder();
-        if let Some(ca) = pem("ca_file", &d.ca_file)? {
-            let roots = certificates(&ca).with_context(|| format!("ca_file {}", d.ca_file))?;
-            tls = tls.root_certs(RootCerts::from(roots));
-        }
-        if let (Some(own), Some(key)) = (pem("cert_file", &d.cert_file)?, pem("key_file", &d.key_file)?) {
-            let chain = certificates(&own).with_context(|| format!("cert_file {}", d.cert_file))?;
-            let key = PrivateKey::from_pem(&key).with_context(|| format!("key_file {}", d.key_file))?;
-            tls = tls.client_cert(Some(ClientCert::new_with_certs(&chain, key)));
-        }
-        let settings = Agent::config_builder()
+        let agent = Agent::config_builder()
             .timeout_global(Some(SEND_WITHIN))
             .http_status_as_error(false)
             // The token must not go to another place.
             .max_redirects(0)
             .max_redirects_will_error(false)
-            .user_agent(concat!("stictiond/", env!("CARGO_PKG_VERSION")))
-            .tls_config(tls.build());
-        Ok(Self { agent: settings.build().into(), url: d.to.clone(), token })
+            .user_agent(concat!("stictiond/", env!("CARGO_PKG_VERSION")));
+        #[cfg(feature = "tls")]
+        let agent = agent.tls_config(encrypted(d)?);
+        Ok(Self { agent: agent.build().into(), url: d.to.clone(), token })
     }
 }
 
+/// The receiver's certificates, and the daemon's to it.
+#[cfg(feature = "tls")]
+fn encrypted(d: &Deliver) -> anyhow::Result<TlsConfig> {
+    let mut settings = TlsConfig::builder();
+    if let Some(ca) = pem("ca_file", &d.ca_file)? {
+        let roots = certificates(&ca).with_context(|| format!("ca_file {}", d.ca_file))?;
+        settings = settings.root_certs(RootCerts::from(roots));
+    }
+    if let (Some(own), Some(key)) = (pem("cert_file", &d.cert_file)?, pem("key_file", &d.key_file)?) {
+        let chain = certificates(&own).with_context(|| format!("cert_file {}", d.cert_file))?;
+        let key = PrivateKey::from_pem(&key).with_context(|| format!("key_file {}", d.key_file))?;
+        settings = settings.client_cert(Some(ClientCert::new_with_certs(&chain, key)));
+    }
+    Ok(settings.build())
+}
+
+#[cfg(feature = "tls")]
 fn certificates(bytes: &[u8]) -> anyhow::Result<Vec<Certificate<'static>>> {
     let items = parse_pem(bytes).collect::<Result<Vec<_>, _>>()?;
     let found: Vec<_> =
