@@ -1,8 +1,9 @@
 //! Loops for the cause of an oscillation: tuning, a disturbance, the valve, or none of these.
 //!
 //! Half of the loops follow a set point that moves. A healthy valve is either ideal or a force-balance valve whose band is 1 to 3 %
-//! of OP's travel, since no real valve is without friction. A well-tuned loop has a maximum sensitivity of at most 2.2, a loop
-//! that rings a damping of 0.01 to 0.12; what lies between is nobody's fault and is not drawn.
+//! of OP's travel, since no real valve is without friction. A loop that rings has a damping of 0.01 to 0.12, a sluggish one takes
+//! five to fifteen times as long as its process. A well-tuned loop has a maximum sensitivity of at most 2.2 and takes at most four
+//! times as long as its process, if that regulates itself. What lies between is nobody's fault and is not drawn.
 
 use super::TruthLoop;
 use super::accuracy::{bands, cycling, law_name, physical, still};
@@ -10,6 +11,7 @@ use super::draw::{Draw, scaled, span, std_dev};
 use super::rig::{Drive, Rig, max_sensitivity, motions, tune, ultimate};
 use super::verdict::{self, LIMIT_CYCLE, PROCESS_KINDS, Plan};
 use stiction::core::sim::closed_loop::{ValveLaw, ValveModel};
+use stiction::core::sim::process::ProcessModel;
 
 /// What moves the loops of each cause. `sluggish` shows only where the set point moves.
 const TUNING: [&str; 3] = ["tight gain", "too much integral", "sluggish"];
@@ -22,6 +24,8 @@ const NONE: [&str; 4] = ["coloured", "random walk", "load steps", "noise only"];
 pub const CAUSES: [&str; 4] = ["tuning", "disturbance", "valve", "none"];
 /// Largest sensitivity of a well-tuned loop.
 const WELL_TUNED: f64 = 2.2;
+/// Time of a well-tuned loop over that of its process, at most.
+const NOT_SLUGGISH: f64 = 4.0;
 /// Damping of a loop that rings.
 const RINGING: [f64; 2] = [0.01, 0.12];
 
@@ -87,9 +91,8 @@ fn rig(draw: &mut Draw, kind: &str, period: f64) -> Option<(usize, Rig)> {
     match kind {
         "sluggish" => {
             // The closed loop takes five to fifteen times as long as its process.
-            let slow = process.tau + process.tau2 + process.dead_time + 0.5;
             (rig.ti, rig.td) = (draw.between(0.8, 1.6) * (process.tau + process.tau2), 0.0);
-            rig.kc = rig.ti / (process.gain.abs() * slow * draw.log_between(5.0, 15.0));
+            rig.kc = rig.ti / (process.gain.abs() * time(&process) * draw.log_between(5.0, 15.0));
         }
         "too much integral" if process.integrating => {
             // Of s^2 + K Kc s + K Kc / Ti; the dead time is short beside the period.
@@ -111,11 +114,19 @@ fn rig(draw: &mut Draw, kind: &str, period: f64) -> Option<(usize, Rig)> {
             }
         }
         _ if max_sensitivity(&rig.process, rig.kc, rig.ti, rig.td) > WELL_TUNED => return None,
+        _ if !process.integrating && rig.ti > NOT_SLUGGISH * rig.kc * process.gain.abs() * time(&process) => {
+            return None;
+        }
         _ => {}
     }
     rig.rest_op = draw.between(25.0, 75.0);
     rig.rest_pv = rig.pv_per_op(period) * draw.between(20.0, 200.0);
     Some((process_kind, rig))
+}
+
+/// Time of a process, scans: its lags, its dead time and half a scan for the hold.
+fn time(process: &ProcessModel) -> f64 {
+    process.tau + process.tau2 + process.dead_time + 0.5
 }
 
 /// The same loop with a valve that sticks; OP from which a cycle starts.

@@ -2,6 +2,7 @@
 
 pub(crate) mod calm;
 mod cross_correlation;
+pub(crate) mod following;
 mod inputs;
 mod jumps;
 mod known;

@@ -219,7 +219,7 @@ fn without_lines(x: &[f64], frequencies: &[f64]) -> Vec<f64> {
 }
 
 /// Coefficients `a` of `x(k) + a1 x(k-1) + ... = e(k)` by Burg's recursion, of the order that Akaike's criterion picks.
-fn burg(x: &[f64], max_order: usize) -> Option<Vec<f64>> {
+pub(super) fn burg(x: &[f64], max_order: usize) -> Option<Vec<f64>> {
     let n = x.len();
     let (mut forward, mut backward) = (x.to_vec(), x.to_vec());
     let mut error = stats::dot(x, x) / n as f64;
@@ -255,6 +255,16 @@ fn burg(x: &[f64], max_order: usize) -> Option<Vec<f64>> {
         }
     }
     best.map(|b| b.1)
+}
+
+/// What the model `a` of [`burg`] leaves of `x`, whose past is taken as 0.
+pub(super) fn filtered(x: &[f64], a: &[f64]) -> Vec<f64> {
+    (0..x.len()).map(|k| x[k] + a.iter().zip(x[..k].iter().rev()).map(|(c, v)| c * v).sum::<f64>()).collect()
+}
+
+/// The same where all of the past is known.
+pub(super) fn innovations(x: &[f64], a: &[f64]) -> Vec<f64> {
+    filtered(x, a).split_off(a.len().min(x.len()))
 }
 
 /// Roots of `z^p + a1 z^(p-1) + ... + ap`, all at once (Durand 1960, Kerner 1966).

@@ -12,6 +12,7 @@ use core::f64::consts::PI;
 use nalgebra::Complex;
 
 use super::document::Verdict;
+use crate::core::detect::following::{self, Following};
 use crate::core::detect::oscillation::Oscillates;
 use crate::core::detect::ringing::{self, Ringing};
 use crate::core::ident::Estimate;
@@ -32,6 +33,15 @@ const STANDS_OUT: f64 = 2.5;
 const TOWERS: f64 = 12.0;
 /// Unsteadiness below which an oscillation comes from outside, though its phase may wander as a cycle's does.
 const STEADY: f64 = 0.13;
+/// How many times as long as its process a loop takes that is sluggish, the damping from which it creeps, and the log likelihood
+/// ratio against ringing.
+const SLUGGISH: f64 = 4.0;
+const CREEPS: f64 = 0.8;
+const NOT_RINGING: f64 = -2.0;
+/// Log likelihood ratio from which the answer to the set point alone shows that a loop rings.
+const SURE: f64 = 5.0;
+/// Share of the record beyond which a time is not measured.
+const WITHIN: f64 = 0.2;
 /// Damping of the linear loop below which its tuning contributes.
 const TIGHT: f64 = 0.1;
 /// The same from which the loop does not ring by itself.
@@ -52,6 +62,35 @@ pub(crate) fn ringing(record: &Record, oscillation: Option<&Oscillates>) -> Opti
         Some(sp) => ringing::of(&sp.iter().zip(&record.pv).map(|(s, p)| s - p).collect::<Vec<_>>(), period),
         None => ringing::of(&record.pv, period),
     }
+}
+
+/// How PV follows a set point that moves. Ringing with too long a period for the record is none.
+#[must_use]
+pub(crate) fn following(record: &Record, oscillation: Option<&Oscillates>) -> Option<Following> {
+    let sp = record.sp.as_ref().filter(|sp| sp.len() == record.len())?;
+    let within = |points: f64| points < WITHIN * record.len() as f64;
+    let period = oscillation.map(|o| o.period_points).filter(|p| within(*p));
+    let found = following::of(sp, &record.pv, period)?;
+    Some(if within(found.period_points) { found } else { Following { rings: found.rings.min(0.0), ..found } })
+}
+
+/// Whether the answer to the set point is that of a badly tuned loop: one that creeps, far more slowly than its process allows (not
+/// where that integrates: averaging level control is slow on purpose), or one that rings and is damped before it oscillates.
+#[must_use]
+pub(crate) fn follows_badly(
+    record: &Record,
+    oscillation: Option<&Oscillates>,
+    following: &Following,
+    estimate: Option<&Estimate>,
+) -> bool {
+    let lag = following.lag_points;
+    let process = estimate.filter(|e| !e.class.integrates() && lag < WITHIN * record.len() as f64);
+    let is_slow = process.is_some_and(|e| {
+        let time = e.time_constants_s.iter().sum::<f64>() + e.dead_time_s + 0.5 * record.ts_s;
+        lag * record.point_s() > SLUGGISH * time
+    });
+    let creeps = following.damping >= CREEPS && following.rings < NOT_RINGING;
+    (creeps && is_slow) || (!oscillation.is_some_and(|o| o.oscillating) && following.rings > SURE)
 }
 
 /// The word for a loop whose valve does not stick, and what contributes. `damping` is that of the linear loop, where the

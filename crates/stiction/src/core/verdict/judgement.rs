@@ -87,6 +87,10 @@ fn call(answer: &Answer<'_>) -> (Verdict, Vec<Verdict>) {
         }
         (true, None) => (Verdict::Inconclusive, Vec::new()),
         (false, _) => {
+            let following = cause::following(record, found.as_ref());
+            if following.is_some_and(|f| cause::follows_badly(record, found.as_ref(), &f, estimate)) {
+                return (Verdict::Tuning, Vec::new());
+            }
             let damping = cause::moved_damping(estimate, controller.as_ref(), record);
             cause::cause(found.as_ref(), ringing.as_ref(), damping)
         }

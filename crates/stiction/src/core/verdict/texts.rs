@@ -41,8 +41,8 @@ const DISTURBANCE: Text = Text {
 const TUNING: Text = Text {
     id: "tuning",
     short: "tuning",
-    sentence: "the loop oscillates, most likely because of its tuning",
-    action: "with operations' consent review the tuning: on an integrating loop lengthen the integral time first, elsewhere lower the gain",
+    sentence: "the loop oscillates or follows its set point badly, most likely because of its tuning",
+    action: "with operations' consent review the tuning: on an integrating loop lengthen the integral time first, elsewhere lower the gain; raise it where PV creeps to its set point",
 };
 const CAUSE_UNKNOWN: Text = Text {
     id: "cause_unknown",
