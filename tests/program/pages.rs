@@ -1,4 +1,4 @@
-//! What the pages tell people to type: every command line is accepted, and those of the README's five minutes work in
+//! What the pages tell people to type: every command line is accepted, and those of docs/five-minutes.md work in
 //! order, with the output that is shown.
 //!
 //! A fenced block marked `console` shows real output of a shipped recording: where a change means to alter it, run the
@@ -255,15 +255,12 @@ fn the_five_minutes_work_as_pasted() {
     let config = folder.join("config/demo.toml");
     fs::write(&config, moved(&fs::read_to_string(&config).unwrap())).unwrap();
 
-    let readme = fs::read_to_string("README.md").unwrap();
-    let end = readme.find("## For a plant").expect("the section after the five minutes");
+    let page = "docs/five-minutes.md";
+    let text = fs::read_to_string(page).unwrap();
     let mut daemon = None;
     let mut done = 0;
-    for step in steps("README.md", &readme[..end], &["sh", "console"]) {
+    for step in steps(page, &text, &["sh", "console"]) {
         let line = moved(&step.line);
-        if ["cargo run -- demo", "bash tests/run.sh"].contains(&step.line.as_str()) {
-            continue;
-        }
         if let Some(arguments) = arguments(&line) {
             if arguments[0] == "run" {
                 daemon = Some(Running::start(folder, &arguments));
@@ -295,7 +292,7 @@ fn outputs_on_the_other_pages_are_those_of_this_build() {
     let folder = tempfile::tempdir().unwrap();
     copied(&["recordings", "config", "examples"], folder.path());
     let mut done = 0;
-    let others = pages().into_iter().filter(|(page, _)| !["README.md", "docs/tutorial.md"].contains(&page.as_str()));
+    let others = pages().into_iter().filter(|(page, _)| !["docs/five-minutes.md", "docs/tutorial.md"].contains(&page.as_str()));
     for (page, text) in others {
         for step in steps(&page, &text, &["console"]) {
             run(&step, &arguments(&step.line).unwrap(), folder.path());
@@ -321,8 +318,8 @@ fn the_tutorial_shows_output_of_each_step_and_writes_its_report() {
 }
 
 /// Pages whose figures are all quoted from docs/results.
-const OF_FIGURES: [&str; 5] =
-    ["README.md", "docs/compare.md", "docs/evaluation.md", "docs/gap-evaluation.md", "docs/sizing.md"];
+const OF_FIGURES: [&str; 4] =
+    ["docs/compare.md", "docs/evaluation.md", "docs/gap-evaluation.md", "docs/sizing.md"];
 
 /// What is kept, by the last command that printed it.
 fn kept() -> Vec<(String, String)> {
