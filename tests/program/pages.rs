@@ -292,7 +292,8 @@ fn outputs_on_the_other_pages_are_those_of_this_build() {
     let folder = tempfile::tempdir().unwrap();
     copied(&["recordings", "config", "examples"], folder.path());
     let mut done = 0;
-    let others = pages().into_iter().filter(|(page, _)| !["docs/five-minutes.md", "docs/tutorial.md"].contains(&page.as_str()));
+    let others =
+        pages().into_iter().filter(|(page, _)| !["docs/five-minutes.md", "docs/tutorial.md"].contains(&page.as_str()));
     for (page, text) in others {
         for step in steps(&page, &text, &["console"]) {
             run(&step, &arguments(&step.line).unwrap(), folder.path());
@@ -318,8 +319,7 @@ fn the_tutorial_shows_output_of_each_step_and_writes_its_report() {
 }
 
 /// Pages whose figures are all quoted from docs/results.
-const OF_FIGURES: [&str; 4] =
-    ["docs/compare.md", "docs/evaluation.md", "docs/gap-evaluation.md", "docs/sizing.md"];
+const OF_FIGURES: [&str; 4] = ["docs/compare.md", "docs/evaluation.md", "docs/gap-evaluation.md", "docs/sizing.md"];
 
 /// What is kept, by the last command that printed it.
 fn kept() -> Vec<(String, String)> {
