@@ -47,13 +47,3 @@ fn calibrate_keeps_what_it_computed_and_writes_a_rule() {
     let other = [&arguments[..7], &["--use", "index,travel", "--ridge", "3"]].concat();
     assert!(expect(0, &other).contains("counted once"));
 }
-
-#[test]
-fn man_pages_and_completions_are_those_of_the_program() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("man1");
-    expect(0, &["manual", "--out", out.to_str().unwrap()]);
-    assert!(fs::read_to_string(out.join("stiction-lab-challenge-new.1")).unwrap().contains("cases"));
-    expect(1, &["manual", "--out", out.to_str().unwrap()]);
-    assert!(expect(0, &["completions", "bash"]).contains("stiction-lab"));
-}

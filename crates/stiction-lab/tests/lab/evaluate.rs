@@ -95,7 +95,7 @@ fn evaluate_counts_records_data_and_valves() {
             case["indicators"].as_array().unwrap().iter().map(|w| w["contribution"].as_f64().unwrap()).sum();
         let logit = case["explanation"]["base"].as_f64().unwrap() + said;
         let p = 1.0 / (1.0 + (-logit).exp());
-        assert!((p - case["p_stiction"].as_f64().unwrap()).abs() < 1e-9, "{case}");
+        assert!((p - case["p_calibrated"].as_f64().unwrap()).abs() < 1e-9, "{case}");
     }
     let text = stdout(&expect(0, &["evaluate", &index]));
     for part in ["every valve counted once", "verdicts by label", "reliability", "gone.csv"] {
