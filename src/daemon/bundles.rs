@@ -226,7 +226,6 @@ mod tests {
         ];
         assert_eq!((found.as_slice(), left), (wanted.as_slice(), 1));
         assert_eq!(read(&mut all, "p/u1/TIC3", r#"{"op": 5}"#).0, [("u1/TIC3".to_owned(), Signal::Op, n(5.0))]);
-        assert_eq!(read(&mut all, "gw/TIC4", "pid pv=6").0, [("pid".to_owned(), Signal::Pv, n(6.0))]);
     }
 
     #[test]

@@ -264,8 +264,8 @@ fn windows_that_contradict_are_named() {
     println!("contradicting: {named} of 100 stray windows named, {others} of 5900 others");
     assert!(named >= 95 && others <= 60, "{named} {others}");
     let mut windows = valve.seen(7);
-    (windows[20].stiction, windows[20].p_stiction, windows[20].gates) =
-        (Some(false), Some(0.01), vec!["quantised".to_owned()]);
+    (windows[20].stiction, windows[20].p_stiction, windows[20].p_calibrated) = (Some(false), Some(0.01), Some(0.01));
+    windows[20].gates = vec!["quantised".to_owned()];
     let told = over_time(&windows);
     let why = &told.contradicting.iter().find(|c| c.end_ns == windows[20].end_ns).unwrap().why;
     assert!(why.contains("no stiction") && why.contains("quantised"), "{why}");
