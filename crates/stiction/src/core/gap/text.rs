@@ -183,19 +183,21 @@ fn of_cause(d: &GapDocument) -> String {
     if d.cause.id == NONE {
         return format!("No further effect: {} {} (p {p}).", base_of(d), claim::of_base(d));
     }
+    if let Some(why) = worse_than_mean(d) {
+        return why;
+    }
     let Some(e) = d.leading() else {
         return match d.named() {
-            Some(e) => worse_than_mean(d).unwrap_or_else(|| {
+            Some(e) => {
                 format!(
                     "Unknown: {} shows in the record, but closes less than a tenth of the gap.",
                     effect::noun(&e.id)
                 )
-            }),
+            }
             None if effects::kind(&d.cause.id) == effects::neighbour::EFFECT.id => {
                 format!("Outside the valve: {}.", without_fit(d))
             }
-            None => worse_than_mean(d)
-                .or_else(|| budget::cannot_be_told(d))
+            None => budget::cannot_be_told(d)
                 .unwrap_or_else(|| format!("Unknown: no effect of the catalogue explains the gap (p {p}).")),
         };
     };
