@@ -27,6 +27,7 @@ pub struct Format {
     encoding: Option<String>,
     sheet: Option<String>,
     quality: Option<String>,
+    missing: Option<String>,
 }
 
 /// A loop: name, times (ns since 1970), numbers of op, pv, sp and mv, and words of mode; NaN and None where there is none.
@@ -50,6 +51,7 @@ impl Format {
             delimiter: parsed("delimiter", self.delimiter.as_ref(), delimiter)?,
             encoding: parsed("encoding", self.encoding.as_ref(), encoding)?,
             sheet: self.sheet.clone(),
+            missing: self.missing.iter().flat_map(|text| text.split(',')).map(|word| word.trim().to_owned()).collect(),
             codes: parsed("quality", self.quality.as_ref(), |text| ValueEnum::from_str(text, true))?,
         })
     }

@@ -25,6 +25,7 @@ def read(
     encoding: str | None = None,
     sheet: str | None = None,
     quality: str | None = None,
+    missing: str | None = None,
 ) -> DataFrame:
     """Read exports and recordings into one table for `assess`, `assess_many` and `assess_plant`; needs pandas.
 
@@ -36,7 +37,7 @@ def read(
     """
     options = {
         "map": map, "tz": tz, "time_format": time_format, "decimal": decimal,
-        "delimiter": delimiter, "encoding": encoding, "sheet": sheet, "quality": quality,
+        "delimiter": delimiter, "encoding": encoding, "sheet": sheet, "quality": quality, "missing": missing,
     }  # fmt: skip
     loops, said = _stiction.read([os.fspath(path) for path in paths], options)
     for words in said:

@@ -26,6 +26,9 @@ pub use unpack::{Item, RawSample};
 /// Most bytes per read.
 const READ_BYTES: usize = 1 << 20;
 
+/// Bytes of a chunk's index before its entries, and of an entry.
+const INDEX_HEAD: usize = 6;
+const INDEX_ENTRY: usize = 16;
 /// Messages outside chunks further from the others in time are none, ns.
 const YEAR_NS: u64 = 366 * 86_400 * 1_000_000_000;
 
@@ -448,12 +451,15 @@ impl RecordingReader {
 }
 
 impl Contents {
-    /// Whether a message's channel has been described, and its times are those of a message.
+    /// Whether a message's channel has been described, and it is no index of a chunk, in which the length of the entries has the
+    /// place of a sequence number, nor another record, which has no time of a message.
     fn is_of_known_channel(&self, data: &[u8]) -> bool {
         let Ok(Record::Message { header, .. }) = parse_record(op::MESSAGE, data) else { return false };
+        let entries = data.len().saturating_sub(INDEX_HEAD);
+        let is_index = header.sequence as usize == entries && entries % INDEX_ENTRY == 0;
         let later = self.last_time.max(header.log_time);
-        // An index of a chunk holds offsets where a message has its times.
-        self.channels.contains_key(&header.channel_id) && later - self.last_time.min(header.log_time) < YEAR_NS
+        let is_near = later - self.last_time.min(header.log_time) < YEAR_NS;
+        self.channels.contains_key(&header.channel_id) && is_near && !is_index
     }
 
     /// Takes the records of a chunk, or none if its checksum is wrong.
