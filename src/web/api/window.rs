@@ -199,10 +199,11 @@ impl Live {
         let none = || ApiError::not_found(format!("{name}: no window has been answered yet"));
         let document = newest.estimate.ok_or_else(none)?;
         let looked = self.request_window(name, Some(document.assessment.window.end_ns)).await?;
-        let start_ns = document.assessment.window.start_ns;
+        let window = &document.assessment.window;
+        let middle_ns = window.start_ns.midpoint(window.end_ns);
         let gone = || ApiError::not_found(format!("{name}: the samples of its newest estimate are no longer held"));
-        // Where a loop's past comes in at once, the history goes on while an estimate is made, and its start is dropped.
-        let record = looked.record.filter(|record| record.start_ns == start_ns).ok_or_else(gone)?;
+        // The history goes on after an estimate and drops the start of its window: by a hop, or wholly where a past comes at once.
+        let record = looked.record.filter(|record| record.start_ns <= middle_ns).ok_or_else(gone)?;
         Ok(Estimated { document, record, settings: looked.settings })
     }
 }
