@@ -456,7 +456,7 @@ impl Contents {
     fn is_of_known_channel(&self, data: &[u8]) -> bool {
         let Ok(Record::Message { header, .. }) = parse_record(op::MESSAGE, data) else { return false };
         let entries = data.len().saturating_sub(INDEX_HEAD);
-        let is_index = header.sequence as usize == entries && entries % INDEX_ENTRY == 0;
+        let is_index = header.sequence as usize == entries && entries.is_multiple_of(INDEX_ENTRY);
         let later = self.last_time.max(header.log_time);
         let is_near = later - self.last_time.min(header.log_time) < YEAR_NS;
         self.channels.contains_key(&header.channel_id) && is_near && !is_index
