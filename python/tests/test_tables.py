@@ -113,14 +113,15 @@ def test_a_fault_of_a_table_names_the_column(frame: Any, change: Any, said: str)
 
 def test_endings_are_those_of_the_program() -> None:
     source = (ROOT / "crates" / "stiction-files" / "src" / "export" / "names.rs").read_text()
-    known = {end: signal.lower() for end, signal in re.findall(r'\("([A-Z_. /]+)", Signal::(\w+)\)', source)}
+    lists = re.findall(r'\(\s*Signal::(\w+),\s*"([^"]+)",?\s*\)', source.split("const ENDS")[1].split("];")[0])
+    known = {end: signal.lower() for signal, ends in lists for end in re.sub(r"\\\s+", "", ends).split("|")}
     assert len(known) > 30
     assert {end: known.get(end) for end in _tables.ENDINGS} == _tables.ENDINGS
     order = [end for end in known if end in _tables.ENDINGS]
     for signal in _tables.SIGNALS:
         mine = [end for end, one in _tables.ENDINGS.items() if one == signal]
         assert mine == [end for end in order if known[end] == signal]
-    times = set(re.findall(r'"([a-z ]+)"', source.split("const TIMES")[1].split("];")[0]))
+    times = set(re.sub(r"\\\s+", "", source.split("const TIMES")[1].split('"')[1]).split("|"))
     assert set(_tables.TIMES) <= times
 
 
