@@ -105,7 +105,7 @@ mod tests {
     use super::*;
     use std::collections::BTreeSet;
 
-    /// What the page's files name of one another.
+    /// References between the page's files.
     fn named(text: &str) -> impl Iterator<Item = &str> {
         text.split(['"', '\'', '`'])
             .filter_map(|part| part.strip_prefix("./").or_else(|| part.strip_prefix('/')))

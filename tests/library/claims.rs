@@ -20,7 +20,7 @@ use stiction_engine::status::{Known, LoopStatus};
 use stictiond::runtime::maintenance::rank;
 use stictiond::runtime::overview::Candidate;
 
-/// A claim, and what is read of it.
+/// A claim, and the output that makes it.
 struct Case {
     claim: &'static str,
     read: fn() -> String,
@@ -121,7 +121,7 @@ fn no_longer() -> String {
     over_time(&(0..40).map(window).collect::<Vec<_>>()).sentences.join("\n")
 }
 
-/// A page, or what the browser is given.
+/// A page of the docs, or a file that the browser gets.
 fn page(path: &str) -> String {
     fs::read_to_string(path).unwrap()
 }

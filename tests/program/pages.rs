@@ -339,7 +339,7 @@ fn behind(command: &str) -> &'static [&'static str] {
     match command {
         _ if is("challenge score") => &["gap"],
         _ if is("calibrate --intervals") => &["intervals"],
-        // Fits of its own are measured, not the shipped ones.
+        // It measures classifiers that it fits itself, not the shipped one.
         _ if is("calibrate --loops") || is("measure.py") || is("bench") => &[],
         _ => &["classifier"],
     }

@@ -163,7 +163,7 @@ fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), Fil
     Ok(())
 }
 
-/// What the files of one loop have in common, recognised from the first rows; `None` for other files.
+/// The common tags of files that are days of one loop, from their first rows; `None` for other files.
 fn common_of(path: &Path, options: &ReadOptions) -> Option<String> {
     let kind = InputKind::detect(path).ok().filter(|kind| *kind == InputKind::Csv)?;
     let mut head = Vec::new();

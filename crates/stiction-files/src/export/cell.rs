@@ -60,7 +60,7 @@ pub(super) struct Table<'f> {
     pub words: Vec<String>,
     /// The decimal separator where the format fixes it.
     pub decimal: Option<Decimal>,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 

@@ -45,7 +45,8 @@ pub enum TimeFormat {
 const NET_1970: i64 = 621_355_968_000_000_000;
 const WINDOWS_1970: i64 = 116_444_736_000_000_000;
 
-/// All numeric forms with their words; the first eight are told by their size, except where two fit.
+/// Numeric time formats by the name that `--time-unit` and `--time-format` take. The size of a number tells the first eight apart,
+/// unless two fit.
 const NUMBERS: [(&str, TimeFormat); 12] = [
     ("s", TimeFormat::Epoch(NS_PER_S)),
     ("ms", TimeFormat::Epoch(1_000_000)),
@@ -61,7 +62,7 @@ const NUMBERS: [(&str, TimeFormat); 12] = [
     ("h", TimeFormat::Epoch(3600 * NS_PER_S)),
     ("d", TimeFormat::Epoch(DAY_S * NS_PER_S)),
 ];
-/// Of these, those told by size.
+/// How many of them the size of a number tells apart.
 const BY_SIZE: usize = 8;
 
 impl TimeFormat {

@@ -338,8 +338,8 @@ impl Finder<'_, '_> {
         })
     }
 
-    /// Gives each quality column to the values that it judges: by name, or by its place behind its value; one for all
-    /// stands before or behind all values.
+    /// Gives each quality column to the values that it judges: by name, or because
+    /// it follows its value. A column that judges all values is the first or the last one.
     fn judge(&self, values: &mut [ValueColumn], marks: &[(usize, String)]) -> Result<(), ExportError> {
         let (unnamed, named): (Vec<_>, Vec<_>) = marks.iter().partition(|(_, of)| of.is_empty());
         let names = &self.table.names;

@@ -204,7 +204,7 @@ fn cut_end(text: &str, delimiter: u8, usual: usize) -> Option<&str> {
     let at = text.rfind('\n').filter(|at| at + 1 < text.len())? + 1;
     let last = &text[at..];
     let cells = last.bytes().filter(|b| *b == delimiter).count() + 1;
-    // A lone cell may be a footer, which has a message of its own.
+    // A single cell may be a footer, which is reported as such.
     (1 < cells && cells < usual && !last.contains('"')).then(|| &text[..at])
 }
 

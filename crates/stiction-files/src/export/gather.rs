@@ -161,7 +161,7 @@ fn wanted<'l>(columns: &'l [ValueColumn], stem: &str, map: Option<&Map>) -> Vec<
     tagged.filter(|(_, tag)| role_of(tag, map).is_some()).collect()
 }
 
-/// Decimal separator: that of the format, else what the numbers show.
+/// Decimal separator: the one given, else the one that the numbers show.
 ///
 /// Where each number has three figures behind its only separator, these are decimals in a comma-separated file, and in a
 /// file without a whole number (a fixed count of decimals); else nothing shows it.
@@ -390,7 +390,7 @@ impl Gatherer<'_> {
             _ => Ok(Mark::None),
         });
         let mark = mark.transpose()?;
-        // Whatever stands beside a bad quality, it is no value.
+        // A number with a bad quality must not be used as a value.
         let value = match mark {
             Some(Mark::Bad) => Value::Missing,
             _ => self.value(at, line, cell)?,
@@ -451,7 +451,7 @@ impl Gatherer<'_> {
         Ok(Value::Missing)
     }
 
-    /// A number, or what --missing says of it.
+    /// The value, or missing if `--missing` lists this number.
     fn counted(&mut self, value: Value) -> Value {
         let missing = |v: f64| self.options.missing.iter().any(|word| word.parse::<f64>().is_ok_and(|m| m == v));
         match value {

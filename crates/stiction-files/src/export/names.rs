@@ -100,7 +100,7 @@ pub fn role(tag: &str) -> Option<Role> {
     Some(Role { loop_name, signal, rank })
 }
 
-/// What stands before the longest ending, its signal, and its place among that signal's endings.
+/// Splits off the longest known ending: the rest of the tag, the signal, and the ending's rank for that signal.
 fn longest_end(tag: &str) -> Option<(&str, Signal, usize)> {
     let ends =
         ENDS.iter().flat_map(|(signal, ends)| ends.split('|').enumerate().map(|(rank, end)| (end, *signal, rank)));
@@ -148,7 +148,7 @@ pub(super) fn is_value(name: &str) -> bool {
     is_one_of(&plain(name), HEADS)
 }
 
-/// What a quality column judges: `fic101 pv` for `FIC101.PV Status`, nothing for `Quality`; `None` for other headings.
+/// The tag that a quality column belongs to: `fic101 pv` for `FIC101.PV Status`, empty for `Quality`; `None` for other headings.
 pub(super) fn quality_of(name: &str) -> Option<String> {
     const WORDS: &str = "quality|qual|status|confidence|qualität|statuscode|opcquality|isgood|isvalid|valid|qualité|calidad|\
         quality code|status code|opc quality";

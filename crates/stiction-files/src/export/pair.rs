@@ -95,7 +95,7 @@ pub(super) fn loops(files: Vec<(String, Contents)>, options: &ReadOptions) -> Re
     Ok(export)
 }
 
-/// What a tag is read as.
+/// The role that a tag is read as.
 fn in_words(series: &Series, loop_name: &str) -> String {
     let unit = series.unit.as_ref().map_or_else(String::new, |unit| format!(" in {unit}"));
     let quality = series.quality.as_ref().map_or_else(String::new, |name| format!(", quality by {name:?}"));

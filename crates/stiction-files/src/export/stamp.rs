@@ -251,7 +251,7 @@ fn in_english(text: &str) -> Cow<'_, str> {
     if text.chars().all(plain) || !text.contains(':') {
         return text.into();
     }
-    // The word is next to the time of day: what stands before its hour, or behind its last figure.
+    // AM, PM and their like are next to the time of day, before the hour or after the last digit.
     let colon = text.find(':').unwrap_or(0);
     let hour = text[..colon].trim_end_matches(|c: char| c.is_ascii_digit()).len();
     let before = text[..hour].trim_end_matches(letters).len();

@@ -1,4 +1,4 @@
-//! `stiction-lab evaluate`: what it counts, and what it says of files and labels that it cannot use.
+//! `stiction-lab evaluate`: its counts, and its messages about files and labels that it cannot use.
 
 use std::fs;
 use std::process::Output;
@@ -89,7 +89,7 @@ fn evaluate_counts_records_data_and_valves() {
     assert!(last["brier"].as_f64().is_some_and(|b| (0.0..=1.0).contains(&b)));
     let counted: u64 = last["reliability"].as_array().unwrap().iter().map(|b| b["count"].as_u64().unwrap()).sum();
     assert_eq!(counted, 4);
-    // What the indicators say adds up to the probability that is given.
+    // The contributions of the indicators must add up to the calibrated probability.
     for case in &cases[..5] {
         let said: f64 =
             case["indicators"].as_array().unwrap().iter().map(|w| w["contribution"].as_f64().unwrap()).sum();

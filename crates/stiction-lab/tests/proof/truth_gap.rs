@@ -181,7 +181,7 @@ fn what_was_added_is_named_and_closes_the_gap() {
     // Not named: a second lag that reaches the floor but is not told from its neighbours, and a limited rate, whose search ends a
     // tenth above the floor since it sees no held-out block; a sliding stem fits better.
     assert!(right >= 4, "{right} of 6");
-    // From SP alone a cycle's phase drifts, whatever the model gains on the record.
+    // A prediction from SP alone loses the phase of a cycle, so a better model may still predict worse.
     assert!(worse <= 1, "{worse} of 6 predicted worse from SP with the effect than without");
 }
 

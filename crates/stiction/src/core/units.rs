@@ -252,7 +252,7 @@ pub enum LoopKind {
     Other,
 }
 
-/// What a controller's output moves.
+/// The final element that a controller's output moves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FinalElement {

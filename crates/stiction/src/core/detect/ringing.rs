@@ -257,7 +257,7 @@ pub(super) fn burg(x: &[f64], max_order: usize) -> Option<Vec<f64>> {
     best.map(|b| b.1)
 }
 
-/// What the model `a` of [`burg`] leaves of `x`, whose past is taken as 0.
+/// The innovations of `x` under the model `a` of [`burg`], with zeros before the first point.
 pub(super) fn filtered(x: &[f64], a: &[f64]) -> Vec<f64> {
     (0..x.len()).map(|k| x[k] + a.iter().zip(x[..k].iter().rev()).map(|(c, v)| c * v).sum::<f64>()).collect()
 }

@@ -144,7 +144,7 @@ fn of_order(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<
     Some(Autoregression { mse, innovations })
 }
 
-/// What an autoregression leaves of each point that it predicts, with the point.
+/// The innovation of an autoregression at each point that it predicts, with the point.
 fn innovations(residual: &[f64], stretches: &[[usize; 2]], coefficients: &[f64]) -> impl Iterator<Item = (usize, f64)> {
     let points = stretches.iter().flat_map(|[a, b]| a + ORDER..*b);
     points.map(|k| {

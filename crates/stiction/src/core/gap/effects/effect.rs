@@ -139,7 +139,7 @@ impl Param {
     }
 }
 
-/// What a fit leaves of PV at fitted points.
+/// The residual of a fit at fitted points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rest {
     /// Point of the record and what is left there, noise floors.
