@@ -244,9 +244,16 @@ pub(super) fn physical(draw: &mut Draw, fs: f64, fd: f64, period: f64) -> Fricti
     Friction::new(fs, fd, vs, draw.log_between(0.1, 1.5), lag)
 }
 
-/// What moves less than this a scan rests.
-pub(super) fn still(valve: &ValveModel) -> f64 {
+/// Largest movement of the stem in one scan that counts as rest, OP units.
+fn still(valve: &ValveModel) -> f64 {
     if valve.law == ValveLaw::Physical { 2e-3 * valve.fs } else { 1e-9 }
+}
+
+/// Whether a record can show its sticking valve: the stem moves several times, by more than a small part of its band, and the band
+/// is not lost in OP's travel.
+pub(super) fn shows_stiction(valve: &ValveModel, seen: &Run) -> bool {
+    let (s, _) = bands(valve);
+    motions(&seen.mv, still(valve)) >= 4 && span(&seen.mv) >= 0.1 * s && s >= 0.08 * span(&seen.op)
 }
 
 /// True stick band and slip jump of a valve, OP units.

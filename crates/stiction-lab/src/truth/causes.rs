@@ -6,9 +6,9 @@
 //! times as long as its process, if that regulates itself. What lies between is nobody's fault and is not drawn.
 
 use super::TruthLoop;
-use super::accuracy::{bands, cycling, law_name, physical, still};
+use super::accuracy::{bands, cycling, law_name, physical, shows_stiction};
 use super::draw::{Draw, scaled, span, std_dev};
-use super::rig::{Drive, Rig, max_sensitivity, motions, tune, ultimate};
+use super::rig::{Drive, Rig, max_sensitivity, tune, ultimate};
 use super::verdict::{self, LIMIT_CYCLE, PROCESS_KINDS, Plan};
 use stiction::core::sim::closed_loop::{ValveLaw, ValveModel};
 use stiction::core::sim::process::ProcessModel;
@@ -225,7 +225,7 @@ fn record(draw: &mut Draw, case: Case) -> Option<TruthLoop> {
         return None;
     }
     let (s, j) = if sticks { bands(&rig.valve) } else { (0.0, 0.0) };
-    if sticks && (motions(&seen.mv, still(&rig.valve)) < 4 || span(&seen.mv) < 0.1 * s || s < 0.08 * travel) {
+    if sticks && !shows_stiction(&rig.valve, &seen) {
         return None;
     }
     let stored = plan.store(draw, &run);

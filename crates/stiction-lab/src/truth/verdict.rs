@@ -1,9 +1,9 @@
 //! Healthy and sticking loops for the verdict: everything that makes a loop swing, and everything that recording does.
 
 use super::TruthLoop;
-use super::accuracy::{bands, cycling, law_name, physical, still};
+use super::accuracy::{bands, cycling, law_name, physical, shows_stiction};
 use super::draw::{Draw, scaled, span, std_dev};
-use super::rig::{Drive, Rig, Run, motions, tune};
+use super::rig::{Drive, Rig, Run, tune};
 use super::storage;
 use stiction::core::sim::closed_loop::{ValveLaw, ValveModel};
 use stiction::core::sim::disturbance::Disturbance;
@@ -349,7 +349,7 @@ pub(super) fn attempt(draw: &mut Draw, sticks: bool, number: u64, windows: usize
         return None;
     }
     let (s, j) = if sticks { bands(&rig.valve) } else { (0.0, 0.0) };
-    if sticks && (motions(&seen.mv, still(&rig.valve)) < 4 || span(&seen.mv) < 0.1 * s || s < 0.08 * travel) {
+    if sticks && !shows_stiction(&rig.valve, &seen) {
         return None;
     }
     let stored = plan.store(draw, &run);
