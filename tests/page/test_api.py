@@ -1,13 +1,17 @@
 """The API under the page: described by OpenAPI, and its answers fit the description."""
 
 import json
+import time
 import urllib.error
 import urllib.request
 
 import jsonschema
 import pytest
-from conftest import TOKEN, api
+from conftest import NS, TOKEN, api, bus_at, put, zenoh_at
 from openapi_spec_validator import OpenAPIV31SpecValidator
+
+from daemon import Daemon, eventually, free_port
+from plant import Loop
 
 LOOP = "FIC101"
 
@@ -104,3 +108,31 @@ def test_wrong_commands_are_refused_and_change_nothing(plant):
         assert refused.value.code == wanted, (body, refused.value.code, said)
         assert set(json.loads(said)) == {"error"}, (body, said)
     assert api(plant, f"/loops/{LOOP}")["alarm"] == before
+
+
+def test_an_estimate_keeps_its_evidence_over_a_data_gap(tmp_path):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    start_s = int(time.time()) // 600 * 600 - 7200
+    loop = Loop(fs=5.0, fd=3.0, seed=1).run(1800)
+    with Daemon(tmp_path, "p", zenoh_at(endpoint), "[window]\nhop_s = 600\n") as daemon:
+        bus = bus_at(endpoint, "p")
+
+        def publish(a, b, later_s):
+            for signal, values in (("op", loop.op), ("pv", loop.pv)):
+                put(bus, f"p/A/{signal}", [{"t": (start_s + later_s + k) * NS, "v": values[k]} for k in range(a, b)])
+
+        def window():
+            loops = {row["name"]: row for row in api(daemon, "/loops")["loops"]}
+            return loops.get("A", {}).get("window_end_ms")
+
+        publish(0, 1220, 0)
+        eventually("an estimate", lambda: window() == (start_s + 1200) * 1000, within=90)
+        before = ask(daemon, "/api/v1/loops/A/pictures")
+        # An hour is missing: the loop's history starts again behind it.
+        publish(1220, 1400, 3600)
+        eventually("the gap", lambda: api(daemon, "/loops/A/window")["t_ms"][0] > (start_s + 1300) * 1000)
+        after = ask(daemon, "/api/v1/loops/A/pictures")
+        bus.close()
+    assert before[0] == after[0] == 200, after
+    pictures = [json.loads(body)["pictures"] for _, _, body in (before, after)]
+    assert [one["title"] for one in pictures[0]] == [one["title"] for one in pictures[1]] and len(pictures[1]) > 5

@@ -7,10 +7,10 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import NS, api, bus_at, zenoh_at
+from conftest import NS, api, bus_at, put, zenoh_at
 from playwright.sync_api import expect
 
-from daemon import Daemon, free_port
+from daemon import Daemon, eventually, free_port
 
 LOOPS = 5000
 COUNT = "document.querySelectorAll('main li a[href^=\"#/loop/\"]').length"
@@ -22,13 +22,8 @@ def many(tmp_path_factory):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with Daemon(tmp_path_factory.mktemp("many"), "many", zenoh_at(endpoint)) as daemon:
         daemon.bus = bus_at(endpoint, "many")
-        # What is published before the daemon's subscription has come over is nobody's: once more, then.
-        for _ in range(6):
-            publish(daemon.bus, 0)
-            time.sleep(6)
-            if len(api(daemon, "/loops")["loops"]) == LOOPS:
-                break
-        assert len(api(daemon, "/loops")["loops"]) == LOOPS
+        publish(daemon.bus, 0)
+        eventually("all tiles", lambda: len(api(daemon, "/loops")["loops"]) == LOOPS, within=90)
         yield daemon
         daemon.bus.close()
 
@@ -39,7 +34,7 @@ def publish(bus, turn):
     for k in range(LOOPS):
         for signal, value in (("op", 50.0), ("pv", 60.0)):
             samples = [{"t": (start + i) * NS, "v": value + (k + i) % 7} for i in range(3)]
-            bus.put(f"many/U{k // 50:02}-FIC{k:04}/{signal}", json.dumps(samples), encoding="application/json")
+            put(bus, f"many/U{k // 50:02}-FIC{k:04}/{signal}", samples)
 
 
 def test_all_tiles_show_and_a_filter_is_quick(many, open_page):

@@ -23,6 +23,7 @@ use stiction::core::record::{Record, Signal};
 use stiction::core::repair::{NoRepair, Repair, RepairParams, repair};
 use stiction::core::units::{file_stem_of, format_rfc3339, from_to, ms_from_ns, ns_from_s};
 use stiction::core::verdict::EstimateDocument;
+use stiction_engine::analysis::{Points, Section};
 use stiction_engine::engine::LoopSettings;
 use stiction_files::LoadedLoop;
 use stiction_files::csv;
@@ -201,10 +202,23 @@ impl Live {
         let looked = self.request_window(name, Some(document.assessment.window.end_ns)).await?;
         let window = &document.assessment.window;
         let middle_ns = window.start_ns.midpoint(window.end_ns);
-        let gone = || ApiError::not_found(format!("{name}: the samples of its newest estimate are no longer held"));
-        // The history goes on after an estimate and drops the start of its window: by a hop, or wholly where a past comes at once.
-        let record = looked.record.filter(|record| record.start_ns <= middle_ns).ok_or_else(gone)?;
+        // After a data gap, or where a past comes at once, the history no longer reaches back to the estimate.
+        let record = match looked.record.filter(|record| record.start_ns <= middle_ns) {
+            Some(record) => record,
+            None => self.recorded_window(name, window, looked.settings.window.max_points).await?,
+        };
         Ok(Estimated { document, record, settings: looked.settings })
+    }
+}
+
+impl Live {
+    /// An estimate's window, made from the recordings.
+    async fn recorded_window(&self, name: &str, window: &stiction::core::verdict::Window, max_points: usize) -> Result<Record, ApiError> {
+        let read = samples(self, name, [window.start_ns, window.end_ns]).await?;
+        let (config, section) = (self.config.get(), Section::Window(window.start_ns, window.end_ns));
+        let made = move || Points::of(&read.name, &read.samples, &config).record(section, max_points);
+        let made = self.computations.run(made).await?;
+        made.map(|(record, _)| record).map_err(|error| ApiError::not_found(error.to_string()))
     }
 }
 
@@ -293,18 +307,24 @@ async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<R
     Ok((headers, html).into_response())
 }
 
-async fn samples(live: &Shared, name: &str) -> Result<LoadedLoop, ApiError> {
-    let newest = live.overview.newest(name).and_then(|newest| newest.estimate);
-    let none = || ApiError::not_found(format!("{name}: no window has been answered yet"));
-    let window = newest.ok_or_else(none)?.assessment.window;
+/// A loop's samples in the recordings.
+async fn samples(live: &Live, name: &str, range_ns: [i64; 2]) -> Result<LoadedLoop, ApiError> {
     let (archive, of) = (live.archive.clone(), name.to_owned());
-    let read = live.looks.run(move || recorded(&archive, &of, &Signal::ALL, [window.start_ns, window.end_ns])).await?;
+    let read = live.looks.run(move || recorded(&archive, &of, &Signal::ALL, range_ns)).await?;
     if read.samples.is_empty() {
         return Err(ApiError::not_found(format!(
             "{name}: the samples of its newest estimate are not in the recordings"
         )));
     }
     Ok(read)
+}
+
+/// The recorded samples of a loop's newest estimate.
+async fn newest_samples(live: &Shared, name: &str) -> Result<LoadedLoop, ApiError> {
+    let newest = live.overview.newest(name).and_then(|newest| newest.estimate);
+    let none = || ApiError::not_found(format!("{name}: no window has been answered yet"));
+    let window = newest.ok_or_else(none)?.assessment.window;
+    samples(live, name, [window.start_ns, window.end_ns]).await
 }
 
 fn file(name: &str, extension: &str, kind: &'static str, content: Vec<u8>) -> Response {
@@ -315,7 +335,7 @@ fn file(name: &str, extension: &str, kind: &'static str, content: Vec<u8>) -> Re
 }
 
 async fn window_csv(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
-    let one = samples(&live, &name).await?;
+    let one = newest_samples(&live, &name).await?;
     let write = move || {
         let mut out = Vec::new();
         csv::write(&one, &mut out).map(|_| out)
@@ -325,7 +345,7 @@ async fn window_csv(State(live): State<Shared>, PathName(name): PathName) -> Res
 }
 
 async fn window_mcap(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
-    let one = samples(&live, &name).await?;
+    let one = newest_samples(&live, &name).await?;
     let archive = live.archive.clone();
     let write = move || loops_as_recording(archive.prefix(), ["page", "recordings"], &[one]);
     let written = live.computations.run(write).await?;
