@@ -213,7 +213,12 @@ impl Live {
 
 impl Live {
     /// An estimate's window, made from the recordings.
-    async fn recorded_window(&self, name: &str, window: &stiction::core::verdict::Window, max_points: usize) -> Result<Record, ApiError> {
+    async fn recorded_window(
+        &self,
+        name: &str,
+        window: &stiction::core::verdict::Window,
+        max_points: usize,
+    ) -> Result<Record, ApiError> {
         let read = samples(self, name, [window.start_ns, window.end_ns]).await?;
         let (config, section) = (self.config.get(), Section::Window(window.start_ns, window.end_ns));
         let made = move || Points::of(&read.name, &read.samples, &config).record(section, max_points);
