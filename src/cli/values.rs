@@ -1,5 +1,7 @@
 //! Values with a comma between them, as options take them.
 
+use stiction::core::verdict::prevalence::SHARES;
+
 /// Two words with a comma between them, such as `example`.
 ///
 /// # Errors
@@ -25,8 +27,9 @@ pub fn rising(text: &str) -> Result<[f64; 2], String> {
 /// It is no number, or outside.
 pub fn share(text: &str) -> Result<f64, String> {
     let share = text.trim().parse::<f64>().map_err(|_| format!("{text:?} is not a number"))?;
-    let message = || format!("{text} is not a share; write one from 0.001 to 0.999, such as 0.1 for one in ten");
-    (0.001..=0.999).contains(&share).then_some(share).ok_or_else(message)
+    let [least, most] = SHARES;
+    let message = || format!("{text} is not a share; write one from {least} to {most}, such as 0.1 for one in ten");
+    (least..=most).contains(&share).then_some(share).ok_or_else(message)
 }
 
 #[cfg(test)]

@@ -75,6 +75,7 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
     let assessment = Assessment {
         verdict: read(d, "verdict")?,
         contributing: each(d, "contributing"),
+        missing: each(d, "missing"),
         stiction: read(d, "stiction"),
         reason: word(d, "reason", reasons()),
         p_stiction: read(d, "p_stiction"),

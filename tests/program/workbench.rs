@@ -215,7 +215,7 @@ fn a_jobs_numbers_report_and_text_are_those_of_the_command_it_tells() {
     assert_eq!((file["name"].as_str(), file["loops"][0]["name"].as_str()), (Some("my loop.csv"), Some("my_loop")));
     let one = json!({"kind": "analyze", "file": file["id"], "loop": "my_loop", "samples": [[1, 500], [300, 800]],
         "model": "both", "valve": "he", "delay": "2.5", "solver": "contour", "evaluations": 300, "fineness": 6.0,
-        "seed": 7, "op_range": [0.0, 100.0], "detrend": "linear"});
+        "seed": 7, "op_range": [0.0, 100.0], "prevalence": 0.1, "detrend": "linear"});
     let two = json!({"kind": "analyze", "file": file["id"], "loop": "my_loop", "downsample": 2.5, "like_toolbox": true, "delay": "3s"});
     for request in [one, two] {
         let job = bench.done(&bench.order(&request));

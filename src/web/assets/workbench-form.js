@@ -101,6 +101,7 @@ export class Form {
       this.group("OP's range",
         h("div", { class: "wb-pair" }, this.number("op_low", "From", { none: "0" }), this.number("op_high", "To", { none: "100" })),
         h("small", { class: "soft" }, "For sizes in % of travel")),
+      this.number("prevalence", "Share that sticks", options.prevalence, "Share of such loops that stick, which p assumes; verdicts do not depend on it"),
       h("details", { class: "wb-more", open: now.solver !== "" || this.moreOpen, ontoggle: (e) => (this.moreOpen = e.target.open) },
         h("summary", { "data-name": "more" }, "Solver, fineness, seed"),
         this.select("solver", "Additional solver", options.solvers),

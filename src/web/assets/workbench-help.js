@@ -10,6 +10,7 @@ export const FIELDS = {
   delay: ["Dead time", "Time from a move of the stem to PV. Write auto, samples of the recording such as 3, or seconds such as 12s. Give it where you know it."],
   valve: ["Valve law", "How the stem moves once OP has left the band: in single slips (He), or sliding after OP (tracking)."],
   op_low: ["OP's range", "OP at valve closed and open, in OP's units. With it, sizes are also given in % of travel. It does not change the fit."],
+  prevalence: ["Share that sticks", "Share of such loops that stick in your plant, as stroke tests found. p assumes it; verdict, grade and sizes do not depend on it."],
   solver: ["Additional solver", "Runs a general solver on the mean squared error over (fs, fd) beside the estimate's own search, as the toolbox does. Use the estimate's bands; the solver is for comparison."],
   evaluations: ["Most models evaluated", "The additional solver stops after this many models."],
   fineness: ["Fineness", "Step of the contour solver's grid, in % of OP's span."],

@@ -21,6 +21,7 @@ export const DEFAULTS = {
   seed: null,
   op_low: null,
   op_high: null,
+  prevalence: null,
   base: "refit",
   without: [],
   pairs: false,
@@ -97,6 +98,7 @@ export function order(now, baseOf) {
     solver: now.solver || null,
     evaluations: now.solver ? now.evaluations : null,
     op_range: now.op_low !== null && now.op_high !== null ? [now.op_low, now.op_high] : null,
+    prevalence: now.prevalence,
   };
 }
 
@@ -114,7 +116,7 @@ export function choicesOf(request, sections) {
     seed: request.seed ?? null,
     ...(request.kind === "gap"
       ? { base: typeof request.base === "string" ? request.base : "refit", without: request.without, pairs: request.pairs, budget_s: request.budget_s ?? null }
-      : { model: request.model, delay: request.delay ?? "auto", valve: request.valve, fineness: request.fineness ?? null, solver: request.solver ?? "", evaluations: request.evaluations ?? null, op_low, op_high }),
+      : { model: request.model, delay: request.delay ?? "auto", valve: request.valve, fineness: request.fineness ?? null, solver: request.solver ?? "", evaluations: request.evaluations ?? null, prevalence: request.prevalence ?? null, op_low, op_high }),
   };
 }
 

@@ -10,6 +10,7 @@ use stiction::core::gap::effects;
 use stiction::core::ident::Options;
 use stiction::core::ident::surface::BUDGET;
 use stiction::core::optim;
+use stiction::core::verdict::prevalence::{PREVALENCE, SHARES};
 use stiction_engine::analysis::MIN_SAMPLES;
 
 /// One of several.
@@ -53,6 +54,7 @@ pub struct Choices {
     effects: Vec<Choice>,
     fineness: Number,
     evaluations: Number,
+    prevalence: Number,
     downsample: Number,
     budget_s: Number,
     seed: u64,
@@ -137,6 +139,13 @@ pub fn all(max_file_bytes: u64) -> Choices {
             default: Some(BUDGET as f64),
             unit: "",
             words: "Most models that the solver evaluates",
+        },
+        prevalence: Number {
+            min: SHARES[0],
+            max: SHARES[1],
+            default: Some(PREVALENCE),
+            unit: "",
+            words: "Share of such loops that stick, which p assumes",
         },
         downsample: Number {
             min: 1.0,

@@ -11,6 +11,7 @@ use stiction::core::gap::model_file::ModelFile;
 use stiction::core::ident::surface::BUDGET;
 use stiction::core::optim::SolverName;
 use stiction::core::units::{format_rfc3339, parse_time};
+use stiction::core::verdict::prevalence::SHARES;
 use stiction::core::verdict::{DelayChoice, ModelChoice, ValveChoice};
 use stiction_engine::analysis::gap::{BaseChoice, GapSettings};
 use stiction_engine::analysis::{Cut, Detrend, FitOverrides, Section, delay_choice};
@@ -154,6 +155,9 @@ pub struct Request {
     /// OP's range, OP units.
     #[serde(default)]
     pub op_range: Option<[f64; 2]>,
+    /// Share of such loops that stick: p assumes it.
+    #[serde(default)]
+    pub prevalence: Option<f64>,
     /// Unit of OP on pictures.
     #[serde(default)]
     pub op_unit: Option<String>,
@@ -219,6 +223,9 @@ impl Request {
         }
         if let Some(count) = self.evaluations.filter(|n| !(EVALUATIONS[0]..=EVALUATIONS[1]).contains(n)) {
             return wrong(format!("evaluations: {count} is not from {} to {}", EVALUATIONS[0], EVALUATIONS[1]));
+        }
+        if let Some(share) = self.prevalence.filter(|share| !(SHARES[0]..=SHARES[1]).contains(share)) {
+            return wrong(format!("prevalence: {share} is not from {} to {}", SHARES[0], SHARES[1]));
         }
         if let Some([low, high]) = self.op_range.filter(|[low, high]| high <= low) {
             return wrong(format!("op_range: the upper end {high} must be above the lower, {low}"));
@@ -326,6 +333,7 @@ impl Request {
                 };
                 option("--valve", valve.map(str::to_owned));
                 option("--op-range", self.op_range.map(|[low, high]| format!("{low},{high}")));
+                option("--prevalence", self.prevalence.map(|share| share.to_string()));
                 option("--solver", self.solver.clone());
                 let fineness = self.fineness.filter(|step| *step != defaults.fineness_pct);
                 option("--fineness", fineness.map(|step| step.to_string()));
@@ -365,7 +373,7 @@ impl Task {
         let (asked, defaults) = (&self.request, FitOverrides::default());
         FitOverrides {
             op_range: asked.op_range,
-            prevalence: None,
+            prevalence: asked.prevalence,
             fineness_pct: asked.fineness.unwrap_or(defaults.fineness_pct),
             seed: asked.seed.unwrap_or(defaults.seed),
             delay: self.delay,

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::reader::TableReader;
-use stiction::core::verdict::prevalence::PREVALENCE;
+use stiction::core::verdict::prevalence::{PREVALENCE, SHARES};
 
 /// `[retention]`; 0 means no limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -101,7 +101,7 @@ impl Default for Commands {
 }
 
 pub(super) fn read_verdict(r: &mut TableReader<'_, '_>) -> VerdictParams {
-    VerdictParams { prevalence: r.number("prevalence", VerdictParams::default().prevalence, 0.001, 0.999) }
+    VerdictParams { prevalence: r.number("prevalence", VerdictParams::default().prevalence, SHARES[0], SHARES[1]) }
 }
 
 pub(super) fn read_plant(r: &mut TableReader<'_, '_>) -> Plant {

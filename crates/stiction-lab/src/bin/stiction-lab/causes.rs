@@ -56,7 +56,7 @@ impl Judged {
         ];
         let disturbed = found.cause == "none" && found.kind != "noise only";
         let name = format!("seed {} ({}, {}, {})", found.seed, found.kind, found.process_kind, found.law);
-        Self { name, truth: found.cause, verdict: a.verdict, p: a.p_stiction, groups, disturbed }
+        Self { name, truth: found.cause, verdict: a.verdict, p: a.p_calibrated, groups, disturbed }
     }
 
     /// Whether the named cause is right; `None` where none is named.
@@ -147,7 +147,7 @@ fn simulated(judged: &[Judged], half: Half, format: Format) -> anyhow::Result<()
         }
         for j in judged {
             say(json!({"schema": "stictiond.cause.v1", "loop": j.name, "truth": j.truth, "verdict": j.verdict.name(),
-                "p_stiction": j.p}))?;
+                "p_calibrated": j.p}))?;
         }
         return Ok(());
     }
@@ -189,13 +189,17 @@ fn recordings(index: &Path, format: Format) -> anyhow::Result<()> {
     let found = on_all_cores(&cases, |case| case.file.clone(), judge);
     for (case, answer) in cases.iter().zip(found) {
         let answer = answer?;
-        let (verdict, p) = (answer.verdict.name(), answer.p_stiction);
+        let missing: Vec<&str> = answer.missing.iter().map(|m| m.words()).collect();
+        let (verdict, p) = (answer.verdict.name(), answer.p_calibrated);
         match format {
             Format::Json => {
                 say(json!({"schema": "stictiond.cause_recording.v1", "file": case.file, "label": case.label,
-                "verdict": verdict, "p_stiction": p}))?
+                "verdict": verdict, "missing": answer.missing, "reason": answer.reason, "p_calibrated": p}))?
             }
-            Format::Text => say(format!("  {:<56}{:<13}{verdict}", case.file, case.label))?,
+            Format::Text => {
+                let why = answer.reason.map_or_else(|| missing.join(", "), |reason| reason.replace('_', " "));
+                say(format!("  {:<56}{:<13}{verdict:<16} {why}", case.file, case.label).trim_end())?;
+            }
         }
     }
     Ok(())

@@ -132,6 +132,7 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
         p_calibrated: Some(p),
         confidence,
         gates,
+        missing: judgement.missing,
         counted_by: judgement.counted_by,
         reversals: Some(judgement.reversals),
         stiction_index: fit.map(Estimate::stiction_index),

@@ -10,6 +10,7 @@
 use core::f64::consts::PI;
 
 use nalgebra::Complex;
+use serde::{Deserialize, Serialize};
 
 use super::document::Verdict;
 use crate::core::detect::following::{self, Following};
@@ -52,6 +53,34 @@ const MOVED: f64 = 0.3;
 const SECOND: f64 = 0.1;
 /// Share of PV's variance that a process model may leave to be believed.
 const FITS: f64 = 0.2;
+
+/// What a record lacks to name the cause of an oscillation, or to show a badly tuned loop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub enum Missing {
+    /// At least eight periods.
+    Periods,
+    /// A steady line of a disturbance, or a resonance of the loop, that stands out.
+    LineOrMode,
+    /// The set point.
+    SetPoint,
+    /// Moves of the set point.
+    SetPointMoves,
+}
+
+impl Missing {
+    /// What the record shows instead, without capital and full stop.
+    #[must_use]
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::Periods => "the window holds fewer than 8 periods",
+            Self::LineOrMode => "neither a steady line nor a resonance stands out",
+            Self::SetPoint => "the set point is not recorded",
+            Self::SetPointMoves => "the set point does not move",
+        }
+    }
+}
 
 /// What rings and what is forced in a record that oscillates: in PV, or in the error where the set point moves.
 #[must_use]
@@ -110,6 +139,23 @@ pub(crate) fn cause(
         _ => None,
     };
     (verdict, beside.into_iter().collect())
+}
+
+/// What would have helped to name the cause: of an oscillation, or of the slow answer of a loop that does not oscillate.
+#[must_use]
+pub(crate) fn missing(record: &Record, verdict: Verdict, ringing: Option<&Ringing>) -> Vec<Missing> {
+    let is_long = ringing.is_some_and(|r| r.long_enough);
+    let spectrum = match verdict {
+        Verdict::CauseUnknown if is_long => Some(Missing::LineOrMode),
+        Verdict::CauseUnknown => Some(Missing::Periods),
+        Verdict::NotOscillating => None,
+        _ => return Vec::new(),
+    };
+    let set_point = match &record.sp {
+        None => Some(Missing::SetPoint),
+        Some(sp) => (stats::span(sp) <= 0.0).then_some(Missing::SetPointMoves),
+    };
+    spectrum.into_iter().chain(set_point).collect()
 }
 
 fn by_ringing(r: &Ringing, calm: bool) -> Verdict {
@@ -272,6 +318,28 @@ mod tests {
         assert_eq!(cause(Some(&WAVE), None, None).0, Verdict::CauseUnknown);
         assert_eq!(cause(Some(&Oscillates { oscillating: false, ..WAVE }), None, None).0, Verdict::NotOscillating);
         assert_eq!(cause(None, None, None).0, Verdict::NotOscillating);
+    }
+
+    #[test]
+    fn what_is_missing_is_what_the_record_lacks() {
+        let mut record = Record::uniform(1.0, vec![0.0; 4], vec![0.0; 4]);
+        let short = Ringing {
+            period_points: 50.0,
+            forced: 0.5,
+            second: None,
+            unsteadiness: 0.3,
+            long_enough: false,
+            mode: None,
+        };
+        let of = |record: &Record, verdict, ringing| missing(record, verdict, ringing);
+        assert_eq!(of(&record, Verdict::CauseUnknown, Some(&short)), [Missing::Periods, Missing::SetPoint]);
+        assert_eq!(of(&record, Verdict::NotOscillating, None), [Missing::SetPoint]);
+        record.sp = Some(vec![5.0; 4]);
+        let long = Ringing { long_enough: true, ..short };
+        assert_eq!(of(&record, Verdict::CauseUnknown, Some(&long)), [Missing::LineOrMode, Missing::SetPointMoves]);
+        record.sp = Some(vec![5.0, 5.0, 6.0, 6.0]);
+        assert_eq!(of(&record, Verdict::CauseUnknown, Some(&long)), [Missing::LineOrMode]);
+        assert_eq!(of(&record, Verdict::Tuning, Some(&short)), []);
     }
 
     /// PI with the time constant as integral time, so that the loop is `gain exp(-d s) / (T s)`.

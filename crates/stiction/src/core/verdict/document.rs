@@ -6,6 +6,7 @@ use crate::core::optim::SolverName;
 use crate::core::sim::slips::Law;
 use serde::{Deserialize, Serialize};
 
+use super::cause::Missing;
 use super::prevalence::CALIBRATED_FOR;
 pub use super::process::Process;
 use super::rule::Opinion;
@@ -358,6 +359,9 @@ pub struct Assessment {
     pub verdict: Verdict,
     /// Other causes that contribute.
     pub contributing: Vec<Verdict>,
+    /// What is missing to name a cause, where the verdict is `cause_unknown` or `not_oscillating`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<Missing>,
     /// Whether the valve sticks; `None` if the window is inconclusive.
     pub stiction: Option<bool>,
     /// Why there is no answer: the first blocking validity check, `too_few_reversals` (neither enough periods nor enough
@@ -473,6 +477,7 @@ impl Assessment {
             oscillation,
             verdict: Verdict::Inconclusive,
             contributing: Vec::new(),
+            missing: Vec::new(),
             stiction: None,
             reason: None,
             p_stiction: None,

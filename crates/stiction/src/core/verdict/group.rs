@@ -23,7 +23,9 @@ impl MemberJudgement {
             Some(true) if !called => {
                 (a.verdict, a.stiction, a.reason) = (Verdict::Inconclusive, None, Some(MASKED));
             }
-            Some(false) if called => (a.verdict, a.stiction) = (Verdict::Stiction, Some(true)),
+            Some(false) if called => {
+                (a.verdict, a.stiction, a.missing) = (Verdict::Stiction, Some(true), Vec::new());
+            }
             _ => {}
         }
         // The grade is that of the answer that is left: a finding of the group alone has no size of its own to trust.

@@ -1,6 +1,6 @@
 //! From evidence to a verdict and a grade: what the classifier says, and why that is sometimes not reported.
 
-use super::cause;
+use super::cause::{self, Missing};
 use super::document::{Assessment, CountedBy, Gate, Implausible, Oscillation, Verdict};
 use super::evidence::Answer;
 use super::features::Features;
@@ -26,6 +26,8 @@ const FEW_MOVES: f64 = 12.0;
 pub(super) struct Judgement {
     pub verdict: Verdict,
     pub contributing: Vec<Verdict>,
+    /// What is missing to name a cause.
+    pub missing: Vec<Missing>,
     /// Why the record has no answer.
     pub reason: Option<&'static str>,
     /// Why the model is not believed; empty where it is.
@@ -42,7 +44,7 @@ impl Judgement {
     pub(super) fn of(answer: &Answer<'_>, whole: &Assessment, params: &AssessParams) -> Self {
         let Answer { features, opinion, sized, .. } = answer;
         let implausible = implausible(sized.record, &whole.oscillation, sized.process().as_ref(), params.kind);
-        let (called, contributing) = call(answer);
+        let (called, contributing, missing) = call(answer);
         let of_the_stem = sized.estimate.as_ref().filter(|_| opinion.sticks()).map(|e| e.reversals);
         let reversals = of_the_stem.unwrap_or_else(|| reversals_of_op(sized.record));
         let counted_by = counted_by(&whole.oscillation, reversals, params);
@@ -55,14 +57,14 @@ impl Judgement {
                 is_op_held(sized.record, periods).then_some(OP_IS_HELD).or_else(|| too_thin(counted_by))
             }
         };
-        let (verdict, contributing) = match called {
-            _ if objection.is_some() => (Verdict::Inconclusive, Vec::new()),
+        let (verdict, contributing, missing) = match called {
+            _ if objection.is_some() => (Verdict::Inconclusive, Vec::new(), Vec::new()),
             // Without bands a dead band is not told from stick and slip.
-            Verdict::Deadband if !implausible.is_empty() => (Verdict::Stiction, contributing),
-            _ => (called, contributing),
+            Verdict::Deadband if !implausible.is_empty() => (Verdict::Stiction, contributing, missing),
+            _ => (called, contributing, missing),
         };
         let not_found = called.stiction() == Some(false);
-        Self { verdict, contributing, reason: objection, implausible, reversals, counted_by, not_found }
+        Self { verdict, contributing, missing, reason: objection, implausible, reversals, counted_by, not_found }
     }
 
     /// Probability of the answer that is given; `None` where none is.
@@ -71,9 +73,9 @@ impl Judgement {
     }
 }
 
-/// The verdict by the classifier alone, and contributing causes. Without a fit, a valve that appears to stick stays
+/// The verdict by the classifier alone, contributing causes, and what is missing to name one. Without a fit, a valve that appears to stick stays
 /// inconclusive.
-fn call(answer: &Answer<'_>) -> (Verdict, Vec<Verdict>) {
+fn call(answer: &Answer<'_>) -> (Verdict, Vec<Verdict>, Vec<Missing>) {
     let Answer { opinion, sized, controller, .. } = answer;
     let (record, estimate, found) = (sized.record, sized.estimate.as_ref(), sized.first.oscillation());
     let ringing = cause::ringing(record, found.as_ref());
@@ -83,16 +85,17 @@ fn call(answer: &Answer<'_>) -> (Verdict, Vec<Verdict>) {
                 region::Region::Deadband => Verdict::Deadband,
                 _ => Verdict::Stiction,
             };
-            (verdict, cause::beside_sticking(e, controller.as_ref(), record, ringing.as_ref()))
+            (verdict, cause::beside_sticking(e, controller.as_ref(), record, ringing.as_ref()), Vec::new())
         }
-        (true, None) => (Verdict::Inconclusive, Vec::new()),
+        (true, None) => (Verdict::Inconclusive, Vec::new(), Vec::new()),
         (false, _) => {
             let following = cause::following(record, found.as_ref());
             if following.is_some_and(|f| cause::follows_badly(record, found.as_ref(), &f, estimate)) {
-                return (Verdict::Tuning, Vec::new());
+                return (Verdict::Tuning, Vec::new(), Vec::new());
             }
             let damping = cause::moved_damping(estimate, controller.as_ref(), record);
-            cause::cause(found.as_ref(), ringing.as_ref(), damping)
+            let (verdict, beside) = cause::cause(found.as_ref(), ringing.as_ref(), damping);
+            (verdict, beside, cause::missing(record, verdict, ringing.as_ref()))
         }
     }
 }

@@ -28,6 +28,7 @@ pub mod words;
 pub use crate::core::detect::Indicator;
 pub use crate::core::ident::{DelayChoice, ModelChoice, ValveChoice};
 pub use assess::{assess, assess_in_windows, figures, is_screened_out};
+pub use cause::Missing;
 pub use document::{
     Assessment, Controller, CountedBy, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement, NO_VALVE,
     Oscillation, Process, Search, Verdict, Window, reasons,

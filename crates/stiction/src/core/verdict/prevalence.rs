@@ -6,10 +6,13 @@
 /// Share of sticking valves among the loops that the classifier is calibrated on; documents without a prevalence mean it.
 pub const CALIBRATED_FOR: f64 = 0.5;
 
-/// Share of sticking valves that is assumed unless a plant configures its own. Surveys find that 20 to 30 % of all loops
-/// oscillate because of their valve: Bialkowski, Pulp & Paper Canada 94(11), 1993; Desborough and Miller, AIChE Symposium
-/// Series 326, 2002; Srinivasan, Rengaswamy and Miller, Ind. Eng. Chem. Res. 44, 2005, 6708-6718.
+/// Share of sticking valves that is assumed unless a plant configures its own: "about 20-30 % of all control loops oscillate due
+/// to valve problems caused by static friction or hysteresis" (Srinivasan, Rengaswamy and Miller, Ind. Eng. Chem. Res. 44,
+/// 2005, 6708-6718).
 pub const PREVALENCE: f64 = 0.3;
+
+/// Shares that may be assumed.
+pub const SHARES: [f64; 2] = [0.001, 0.999];
 
 /// The probability where `prevalence` of the valves stick, from the calibrated one; both 0..1.
 #[must_use]

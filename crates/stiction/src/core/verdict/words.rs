@@ -50,7 +50,9 @@ pub fn claim(a: &Assessment) -> String {
 #[must_use]
 pub fn beside_cause(a: &Assessment, cause: Verdict) -> String {
     let rest = if Standing::of(a) == Standing::Open { texts::UNDECIDED.to_owned() } else { not_seen(a) };
-    format!("{}; {rest}", verdict(cause))
+    let missing: Vec<&str> = a.missing.iter().filter(|_| cause == Verdict::CauseUnknown).map(|m| m.words()).collect();
+    let why = if missing.is_empty() { String::new() } else { format!(" ({})", missing.join(", ")) };
+    format!("{}{why}; {rest}", verdict(cause))
 }
 
 /// What was not found, with the detection limit.

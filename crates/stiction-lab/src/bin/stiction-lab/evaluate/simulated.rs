@@ -8,6 +8,7 @@ use stiction::core::verdict::tally::{self, Scored};
 use stiction::core::verdict::{AssessParams, Assessment, assess, assess_in_windows};
 use stiction_engine::alarm::{AlarmParams, Evidence};
 use stiction_engine::analysis::Judgeable;
+use stiction_engine::engine::WindowParams;
 use stiction_lab::truth::rates::{self, Called, reliability_lines};
 use stiction_lab::truth::{Half, TruthLoop, verdict_case, verdict_stretch};
 use stictiond::cli::{Format, on_all_cores, say};
@@ -128,19 +129,21 @@ impl Worth {
     }
 }
 
-/// Each loop judged in as many consecutive windows as an alarm looks at, by the daemon's own parameters and its alarm's
-/// own evidence: what one window is worth, and what m of n are.
+/// Each loop judged in as many windows as an alarm looks at, which overlap as the daemon's do, by its own parameters and its
+/// alarm's own evidence: what one window is worth, and what m of n are.
 ///
 /// # Errors
 /// Nothing can be printed.
 pub fn print_alarms(loops: Loops, format: Format) -> anyhow::Result<()> {
     let alarm = AlarmParams::default();
     let [raise, of] = alarm.raise.map(usize::from);
+    let hop_s = WindowParams::default().hop_s;
     let told: Vec<Called<'static, 2>> = loops.each(Half::Report, |seed| {
         let case = verdict_stretch(Half::Report, seed, of);
         let (record, params) = (case.record(), AssessParams::default());
         let length = record.len() / of;
-        let window = |k: usize| assess(&record.part(k * length, (k + 1) * length), &params);
+        let hop = ((hop_s / record.point_s()) as usize).clamp(1, length);
+        let window = |k: usize| assess(&record.part(k * hop, k * hop + length), &params);
         let counts: Vec<bool> = (0..of).map(|k| Evidence::of(&window(k), &alarm) == Evidence::For).collect();
         let raised = counts.iter().filter(|counts| **counts).count() >= raise;
         Called { kind: case.kind, sticks: case.sticks, called: [counts[0], raised] }
@@ -154,7 +157,7 @@ pub fn print_alarms(loops: Loops, format: Format) -> anyhow::Result<()> {
     let threshold = Rule::shipped().cuts.alarm;
     let names = ["one window".to_owned(), format!("{raise} of {of} windows")];
     say(format!(
-        "{} simulated loops from seed {}, {of} consecutive windows each, judged as the daemon judges them; a window counts \
+        "{} simulated loops from seed {}, {of} windows each, {hop_s} s apart, judged as the daemon judges them; a window counts \
          at p >= {threshold} and a size above the alarm's limit; TPR, FPR: true and false positive rate, with 95 % intervals",
         loops.count, loops.seed
     ))?;
