@@ -1,7 +1,7 @@
 //! `cargo bench`: what the solver is made of, on simulated loops whose truth is known.
 //!
 //! Wall-clock times, for changes on one quiet machine. `stictiond bench` measures CPU time and prints the table that stands
-//! in docs/sizing.md.
+//! in docs/operate.md.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use divan::{Bencher, black_box};

@@ -59,7 +59,7 @@ for program in "$stage"/usr/bin/*; do
     "$program" completions fish >"$stage/usr/share/fish/vendor_completions.d/$name.fish"
 done
 
-for page in README.md SECURITY.md docs/*.md docs/history/*.md docs/results/*.txt; do
+for page in README.md SECURITY.md docs/*.md docs/dev/*.md docs/results/*.txt; do
     put 644 "$page" "$doc/$page"
 done
 for example in monitor.toml hardened.toml hardened-daemon.json5 hardened-router.json5 alerts.yml recording.yml alerts.test.yml \

@@ -1,6 +1,6 @@
 """Many windows of one valve, and the benefit of a repair: input and result documents.
 
-`docs/over-time.md` defines every number. Sizes are in OP units, intervals are 90 % `[low, high]`, times in ns since 1970.
+`docs/plant.md` defines every number. Sizes are in OP units, intervals are 90 % `[low, high]`, times in ns since 1970.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ class Process:
 class Assessment:
     """Whether a valve sticks, how much, and with what confidence. Values that do not exist are None.
 
-    Sizes are in OP units, times in s; `docs/verdicts.md` defines every number. `str()` gives the text of the command line,
+    Sizes are in OP units, times in s; `docs/read-a-result.md` defines every number. `str()` gives the text of the command line,
     `to_dict()` the document. Results of `assess` and `assess_windows` keep their record for `plot()`; pickled ones do not.
     """
 

@@ -20,7 +20,7 @@ ENDINGS = {
     "MODE": "mode", "MD": "mode",
     "ZT": "mv", "ZI": "mv", "POS": "mv", "POSITION": "mv", "FBK": "mv", "FB": "mv",
 }  # fmt: skip
-"""Endings of tags, the strongest of each signal first: the short ones of `docs/exports.md`."""
+"""Endings of tags, the strongest of each signal first: the short ones of `docs/formats.md`."""
 TIMES = ("t", "ts", "time", "timestamp", "date", "datetime", "zeit", "zeitstempel", "horodatage", "fecha")
 TAGS = ("tag", "tagname", "tag name", "point", "name")
 VALUES = ("value", "val", "wert")

@@ -438,6 +438,7 @@ fn indicators(a: &Assessment) -> Result<Figure, PlotError> {
     });
     let rows: Vec<Bar<'_>> = base.into_iter().chain(said).chain(sum).collect();
     let picture = bars("Indicators", HALF, "log-odds: right points to sticking, left away from it", &rows)?;
-    let caption = "What each indicator adds; the sum is the log-odds of the calibrated probability (docs/method.md).";
+    let caption =
+        "What each indicator adds; the sum is the log-odds of the calibrated probability (docs/dev/method.md).";
     Ok(Figure { picture, caption: caption.to_owned(), wide: false })
 }

@@ -35,7 +35,7 @@ pub fn page(report: &Report) -> Result<String, PlotError> {
         (super::groups::cards(report))
         @for part in sections { (part) }
     };
-    let remark = "The same file, options and build give the same numbers. docs/verdicts.md of \
+    let remark = "The same file, options and build give the same numbers. docs/read-a-result.md of \
                   stictiond explains the fields. Pictures are drawn from the points that were analysed; curves keep \
                   the extremes of each pixel column.";
     Ok(whole(&title, [&report.input, &report.command], &body, remark))

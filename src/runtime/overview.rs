@@ -65,7 +65,7 @@ impl Recent {
 
 /// One loop in a list of all.
 #[derive(Debug, Clone, PartialEq, Serialize, schemars::JsonSchema)]
-#[allow(missing_docs)] // fields of the estimate and the alarm, defined in docs/verdicts.md and docs/alarms.md
+#[allow(missing_docs)] // fields of the estimate and the alarm, defined in docs/read-a-result.md and docs/alarms.md
 pub struct Row {
     pub name: String,
     pub area: Option<String>,

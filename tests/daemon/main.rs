@@ -1,4 +1,4 @@
-//! The daemon under faults, crashes, hostile clients and a restart of everything around it: what docs/robustness.md promises.
+//! The daemon under faults, crashes, hostile clients and a restart of everything around it: what docs/dev/robustness.md promises.
 //!
 //! Most of it waits, so `tests/run.sh` runs it beside what computes.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]

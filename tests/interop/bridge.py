@@ -12,7 +12,7 @@ from pathlib import Path
 import paho.mqtt.client as paho
 from mcap.reader import make_reader
 
-from daemon import BRIDGE, Daemon, eventually, free_port
+from daemon import BRIDGE, Daemon, eventually, free_port, typed
 from receivers import MOSQUITTO, environment, tool
 
 PREFIX = "plant1/area1"
@@ -74,10 +74,13 @@ class Broker:
 class Bridge:
     def __init__(self, broker, endpoint, figures):
         self.figures = figures
+        words = typed("stictiond-bridge mqtt", {
+            "mqtts://broker.plant": f"mqtts://localhost:{broker.port}", "stiction": "plant", "broker.password": broker.folder / "password",
+            "ca.pem": broker.ca, "spBv1.0/plant/#": "dcs/#", "dcs/+/+": "single/+", "tcp/127.0.0.1:7447": endpoint,
+            "dcs/FIC101/out=plant1/area1/FIC101/op": f"single/op={PREFIX}/TIC9/op", "plant1/area1/mqtt": f"{PREFIX}/mqtt",
+        })
         self.process = subprocess.Popen(
-            [BRIDGE, "--format", "json", "mqtt", "--from", f"mqtts://localhost:{broker.port}", "--user", "plant",
-             "--secret-file", broker.folder / "password", "--ca-file", broker.ca, "--topic", "dcs/#", "--topic", "single/+",
-             "--connect", endpoint, "--prefix", f"{PREFIX}/mqtt", "--map", f"single/op={PREFIX}/TIC9/op", "--figures", figures],
+            [BRIDGE, "--format", "json", *words, "--figures", figures],
             stdout=subprocess.PIPE, stderr=open(broker.folder / "bridge.log", "a"), text=True,
         )
 

@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -34,6 +36,15 @@ def eventually(what, check, within=60.0):
         if time.monotonic() > until:
             raise AssertionError(f"not within {within} s: {what}")
         time.sleep(0.05)
+
+
+def typed(start, places):
+    """The command of docs/connect.md that begins so, without the program; `places` has what a reader puts in place of what."""
+    text = re.sub(r"\\\n\s*", "", (ROOT / "docs" / "connect.md").read_text())
+    (line,) = (line.strip() for line in text.splitlines() if line.strip().startswith(start))
+    words = shlex.split(line)[1:]
+    assert set(places) <= set(words), set(places) - set(words)
+    return [str(places.get(word, word)) for word in words]
 
 
 def session(mode, connect=(), listen=()):

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from daemon import BRIDGE, Daemon, eventually, free_port
+from daemon import BRIDGE, Daemon, eventually, free_port, typed
 
 PREFIX = "plant1/area1"
 LOOPS = int(os.environ.get("STICTIOND_OPCUA_LOOPS", "10"))
@@ -103,11 +103,10 @@ def certificate(folder, name, uri):
 
 
 class Bridge:
-    def __init__(self, folder, from_, endpoint):
+    def __init__(self, folder, words):
         self.figures, self.log = folder / "figures.json", folder / "bridge.log"
-        words = ["--nodes", folder / "nodes.txt", "--connect", endpoint, "--prefix", f"{PREFIX}/opcua", "--figures", self.figures]
         self.process = subprocess.Popen(
-            [BRIDGE, "--format", "json", "opcua", *from_, "--sampling-ms", str(int(1000 * EVERY_S)), *words],
+            [BRIDGE, "--format", "json", *words, "--sampling-ms", str(int(1000 * EVERY_S)), "--figures", self.figures],
             stdout=subprocess.PIPE, stderr=open(self.log, "a"), text=True, env={**os.environ, "NO_COLOR": "1"},
         )
 
@@ -157,8 +156,8 @@ def called(*arguments):
 def discovered(folder, from_):
     """The list of nodes and the loops as `discover` writes them, and what shall be refused besides."""
     nodes, loops = folder / "nodes.txt", folder / "loops.toml"
-    code, out, err = called(
-        "discover", *from_, "--browse", "/Objects/Plant", "--prefix", f"{PREFIX}/opcua", "--nodes", nodes, "--out", loops)
+    words = typed("stictiond-bridge discover", {"opc.tcp://plc:4840/ua": from_[1], "nodes.txt": nodes, "loops.toml": loops})
+    code, out, err = called(*words, *from_[2:])
     assert code == 0 and f"{LOOPS} loops" in err, (out, err)
     text = loops.read_text()
     assert text.count("[[loop]]") == LOOPS and f'op = "{PREFIX}/opcua/FIC100/OP"' in text, text[:500]
@@ -225,6 +224,18 @@ class Plant:
                      "--secret-file", folder / "password"]
         self.secret = [*self.open, "--cert-file", folder / "own.pem", "--key-file", folder / "own.key"]
 
+    def bridge(self, secret):
+        """As docs/connect.md starts it, or without certificates."""
+        nodes = self.folder / "nodes.txt"
+        if not secret:
+            return Bridge(self.folder, [
+                "opcua", *self.open, "--nodes", nodes, "--connect", self.endpoint, "--prefix", f"{PREFIX}/opcua"])
+        return Bridge(self.folder, typed("stictiond-bridge opcua", {
+            "opc.tcp://plc:4840/ua": self.open[1], "stiction": "plant", "plc.password": self.folder / "password",
+            "own.pem": self.folder / "own.pem", "own.key": self.folder / "own.key", "servers/": self.folder / "trusted",
+            "nodes.txt": nodes, "tcp/127.0.0.1:7447": self.endpoint,
+        }))
+
     def daemon(self, loops):
         return Daemon(self.folder, PREFIX, f'[zenoh]\nlisten = ["{self.endpoint}"]', "[window]\nhop_s = 3600\n" + loops)
 
@@ -236,12 +247,11 @@ def test_the_opcua_bridge_accounts_for_every_value(folder):
     plant = Plant(folder)
     try:
         loops = discovered(folder, [*plant.secret, "--trust", folder / "server.pem"])
-        from_ = [*plant.secret, "--trust", folder / "trusted"]
         with plant.daemon(loops) as daemon:
-            bridges.append(Bridge(folder, from_, plant.endpoint))
+            bridges.append(plant.bridge(secret=True))
             untrusted_first(folder, bridges[0])
             begun_ns = eventually("figures", lambda: bridges[0].now().get("subscribed_ns"))
-            killed_ns = disturb(plant.server, plant.wire, bridges, lambda: Bridge(folder, from_, plant.endpoint))
+            killed_ns = disturb(plant.server, plant.wire, bridges, lambda: plant.bridge(secret=True))
             plant.server.process.send_signal(signal.SIGUSR1)
             time.sleep(2 + 2 * EVERY_S)
             before, cpu_s = json.loads((folder / "killed.json").read_text())["figures"], bridges[-1].cpu_s()
@@ -268,7 +278,7 @@ def test_a_cut_of_the_network_costs_the_opcua_bridge_nothing(folder):
     plant, bridge = Plant(folder), None
     try:
         with plant.daemon(discovered(folder, plant.open)) as daemon:
-            bridge = Bridge(folder, plant.open, plant.endpoint)
+            bridge = plant.bridge(secret=False)
             begun_ns = eventually("the subscription", lambda: bridge.now().get("subscribed_ns"))
             for cut in range(2):
                 time.sleep(3)

@@ -1,12 +1,13 @@
-//! The examples of `docs/live-formats.md`: every format has one, and it is read as the page says.
+//! The examples of `docs/formats.md` and those in hex beside the codecs: every format has one, and it is read as it says.
 
 use std::fs;
 
 use stiction::core::units::format_rfc3339;
 use stiction_engine::codec::{self, Bundle, Memory, Scalar};
 
-fn page() -> String {
-    fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/live-formats.md")).unwrap()
+/// The page, and the examples that only programs read.
+pub fn page() -> String {
+    ["docs/formats.md", "crates/stiction-engine/src/codec/examples.md"].map(|p| fs::read_to_string(p).unwrap()).concat()
 }
 
 /// The text of a fenced block behind a heading.
@@ -59,6 +60,6 @@ fn every_example_of_the_page_is_read_as_it_says() {
 fn the_page_names_every_format() {
     let page = page();
     for name in codec::names() {
-        assert!(page.contains(&format!("\n| `{name}` | ")), "{name} has no row in docs/live-formats.md");
+        assert!(page.contains(&format!("\n| `{name}` | ")), "{name} has no row in docs/formats.md");
     }
 }

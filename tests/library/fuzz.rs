@@ -144,7 +144,7 @@ fn payloads() {
 /// key of one signal.
 #[test]
 fn payloads_of_every_format() {
-    let page = fs::read_to_string("docs/live-formats.md").unwrap();
+    let page = crate::formats::page();
     for codec in stiction_engine::codec::ALL {
         let name = codec.name();
         let example = page

@@ -21,10 +21,14 @@ fn the_page_and_the_documentation_say_what_the_list_says() {
          {{\n{entries}}};\n\nexport const SIGNS = {{\n{signs}}};\n"
     );
     assert_eq!(fs::read_to_string("src/web/assets/verdicts.js").unwrap(), page);
-    let documented = fs::read_to_string("docs/verdicts.md").unwrap();
+    let documented = fs::read_to_string("docs/read-a-result.md").unwrap();
     for text in ALL {
         let row = format!("| {} | {} |", text.sentence, text.action);
         let line = documented.lines().find(|line| line.starts_with(&format!("| `{}` |", text.id)));
-        assert!(line.is_some_and(|line| line.ends_with(&row)), "docs/verdicts.md lacks the row of {}: {row}", text.id);
+        assert!(
+            line.is_some_and(|line| line.ends_with(&row)),
+            "docs/read-a-result.md lacks the row of {}: {row}",
+            text.id
+        );
     }
 }

@@ -171,7 +171,7 @@ def main():
     assert inside("dpkg", "--verify", "stictiond") == ""
     assert inside("stictiond", "--version").startswith("stictiond "), "version"
     assert inside("stictiond-bridge", "--version").startswith("stictiond-bridge "), "version"
-    assert "--topic" in inside("stictiond", "bridge", "mqtt", "--help"), "the bridge beside the program"
+    assert "--topic" in inside("stictiond-bridge", "mqtt", "--help"), "the bridge beside the program"
     assert "no faults" in inside("stictiond", "check", "/etc/stictiond/monitor.toml")
     for path in ["man/man1/stictiond.1.gz", "man/man1/stictiond-run.1.gz", "man/man1/stictiond-bridge-mqtt.1.gz", "bash-completion/completions/stictiond",
                  "zsh/vendor-completions/_stictiond", "fish/vendor_completions.d/stictiond.fish",

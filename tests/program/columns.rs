@@ -127,10 +127,10 @@ fn cut_and_damaged_columns_give_what_is_whole_and_recover_keeps_them_columns() {
     assert_eq!(RecordingReader::open(&out).unwrap().metadata()["raw"], "columns");
 }
 
-/// The ten lines of docs/recordings.md, where Python has what they need.
+/// The ten lines of docs/test-a-change.md, where Python has what they need.
 #[test]
 fn python_reads_columns_by_the_lines_of_the_page() {
-    let page = fs::read_to_string("docs/recordings.md").unwrap();
+    let page = fs::read_to_string("docs/test-a-change.md").unwrap();
     let lines = page.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
     assert!(lines.lines().count() <= 12, "{lines}");
     let python = ["target/python/bin/python3", "target/venv/bin/python3", "python3"].into_iter().find(|python| {

@@ -1,5 +1,5 @@
-//! What the pages tell people to type: every command line is accepted, and those of docs/five-minutes.md work in
-//! order, with the output that is shown.
+//! What the pages tell people to type: every line is run, in order, with the output that is shown, or another test runs it
+//! ([`ELSEWHERE`]). Lines that take long run with small numbers, under `--all`.
 //!
 //! A fenced block marked `console` shows real output of a shipped recording: where a change means to alter it, run the
 //! command and paste what it prints. `...` stands for lines, or the rest of a line, that are left out. A block marked `results`
@@ -8,16 +8,35 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 
-use crate::live::{free_port, http, program, wait_for};
+use crate::live::{free_port, program, skipped, wait_for};
 
-/// Steps of the five minutes that fetch or build something, or only set the shell up.
-const NOT_RUN: [&str; 5] =
-    ["cargo build", "export PATH=", "python3 -m venv", "target/venv/bin/pip", "target/venv/bin/python"];
+/// Lines that another test runs: how they begin, its file, and what of the line stands in that file.
+const ELSEWHERE: &[(&str, &str, &str)] = &[
+    ("cargo run -- demo", "tests/page/conftest.py", "\"demo\""),
+    ("bash tests/run.sh", ".ci/run", "tests/run.sh"),
+    ("bash .ci/run", ".ci/run", ""),
+    ("cargo build --release", "tests/run.sh", "cargo check --locked --quiet -p stictiond"),
+    ("cargo build --profile dist", "tests/package/run.sh", "cargo build"),
+    ("export PATH=", "tests/program/pages.rs", "\"PATH\""),
+    ("packaging/deb.sh", "tests/package/run.sh", "packaging/deb.sh"),
+    ("apt-get install ./target/package", "tests/package/install.py", "\"--install\""),
+    ("editor /etc/stictiond/monitor.toml", "tests/package/install.py", "CONFIG.write_text"),
+    ("stictiond check /etc", "tests/package/install.py", "\"check\", \"/etc/stictiond/monitor.toml\""),
+    ("systemctl enable --now stictiond", "tests/package/boot.sh", "systemctl"),
+    ("stictiond-bridge discover", "tests/interop/opcua.py", "typed("),
+    ("stictiond-bridge opcua", "tests/interop/opcua.py", "typed("),
+    ("stictiond-bridge mqtt", "tests/interop/bridge.py", "typed("),
+    ("pip install ./python", "python/test.sh", "pip"),
+    ("python examples/fleet/make.py", "python/tests/test_fleet.py", "make"),
+    ("python examples/fleet/pool_fleet.py", "python/tests/test_fleet.py", "pool_fleet"),
+    ("python examples/fleet/dask_fleet.py", "python/tests/test_fleet.py", "dask_fleet"),
+];
 
 /// One line to type, and the lines that are shown below it.
 struct Step {
@@ -28,9 +47,13 @@ struct Step {
 }
 
 fn pages() -> Vec<(String, String)> {
-    let mut names = ["README.md", "CONTRIBUTING.md", "examples/fleet/README.md"].map(str::to_owned).to_vec();
-    let docs = fs::read_dir("docs").unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
-    names.extend(docs.filter(|name| name.ends_with(".md")).map(|name| format!("docs/{name}")));
+    let others = ["README.md", "CONTRIBUTING.md", "crates/stictiond-bridge/README.md", "examples/fleet/README.md"];
+    let mut names = others.map(str::to_owned).to_vec();
+    names.extend(["packaging/README.md", "recordings/README.md"].map(str::to_owned));
+    for folder in ["docs", "docs/dev"] {
+        let files = fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+        names.extend(files.filter(|name| name.ends_with(".md")).map(|name| format!("{folder}/{name}")));
+    }
     names.sort();
     names.into_iter().map(|name| (name.clone(), fs::read_to_string(name).unwrap())).collect()
 }
@@ -40,15 +63,18 @@ fn steps(page: &str, text: &str, marks: &[&str]) -> Vec<Step> {
     let mut steps: Vec<Step> = Vec::new();
     let (mut block, mut continued) = (None, false);
     for (at, line) in text.lines().enumerate() {
-        if let Some(mark) = line.strip_prefix("```") {
-            block = if block.is_some() { None } else { Some(mark) };
+        // A block in a list stands as far in as its fence.
+        let indent = block.map_or(0, |(_, indent)| indent);
+        let line = line.get(indent..).unwrap_or_default();
+        if let Some(mark) = line.trim_start().strip_prefix("```") {
+            block = if block.is_some() { None } else { Some((mark, line.len() - line.trim_start().len())) };
             continue;
         }
-        let Some(mark) = block.filter(|mark| marks.is_empty() || marks.contains(mark)) else { continue };
+        let Some((mark, _)) = block.filter(|(mark, _)| marks.is_empty() || marks.contains(mark)) else { continue };
         let prompt = line.strip_prefix("$ ");
         if continued {
             let last = &mut steps.last_mut().unwrap().line;
-            last.push_str(line.trim_end_matches('\\'));
+            last.push_str(line.trim_start().trim_end_matches('\\'));
         } else if let Some(typed) = prompt.or((mark == "sh" && !line.is_empty()).then_some(line)) {
             let line = typed.trim_end_matches('\\').to_owned();
             steps.push(Step { page: page.to_owned(), number: at + 1, line, shown: Vec::new() });
@@ -174,19 +200,22 @@ fn a_wrong_command_line_is_not_accepted() {
     }
 }
 
-/// A daemon that the five minutes start, ended as they say.
+/// A program that a page starts and leaves running.
 struct Running(Child);
 
 impl Running {
     fn start(folder: &Path, arguments: &[String]) -> Self {
-        let mut command = Command::new(program());
-        let mut child = command.args(arguments).current_dir(folder).stderr(Stdio::piped()).spawn().unwrap();
-        let mut log = BufReader::new(child.stderr.take().unwrap());
+        // A workbench opens no browser here, takes any port, and says on the other channel where it is.
+        let quiet: &[&str] = if arguments[0] == "workbench" { &["--no-open", "--listen", "0"] } else { &[] };
+        let mut command = Command::new("bash");
+        command.args(["-c", "exec \"$0\" \"$@\" 2>&1", &program()]).args(arguments).args(quiet);
+        let mut child = command.current_dir(folder).stdout(Stdio::piped()).spawn().unwrap();
+        let mut log = BufReader::new(child.stdout.take().unwrap());
         let (mut line, mut before) = (String::new(), String::new());
-        while !line.contains("watching") {
+        while !["watching", "http://"].iter().any(|ready| line.contains(ready)) {
             before.push_str(&line);
             line.clear();
-            assert!(log.read_line(&mut line).unwrap() > 0, "it ended early:\n{before}");
+            assert!(log.read_line(&mut line).unwrap() > 0, "{arguments:?} ended early:\n{before}");
         }
         // Nobody waits for what it logs later, but its pipe must not fill up.
         std::thread::spawn(move || log.read_to_end(&mut Vec::new()));
@@ -208,13 +237,90 @@ impl Drop for Running {
     }
 }
 
-/// Copies what the steps read, one folder deep.
-fn copied(names: &[&str], to: &Path) {
-    for name in names {
-        fs::create_dir_all(to.join(name)).unwrap();
-        for entry in fs::read_dir(name).unwrap().map(Result::unwrap).filter(|e| e.path().is_file()) {
-            fs::copy(entry.path(), to.join(name).join(entry.file_name())).unwrap();
+/// A folder that has what the pages read, and ports of its own: the usual ones may be taken.
+struct Place {
+    folder: tempfile::TempDir,
+    ports: [String; 2],
+    running: Vec<Running>,
+}
+
+impl Place {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let place =
+            Self { folder, ports: [free_port(), free_port()].map(|port| port.to_string()), running: Vec::new() };
+        for name in ["recordings", "recordings/scenarios", "config", "examples"] {
+            let to = place.folder.path().join(name);
+            fs::create_dir_all(&to).unwrap();
+            for path in fs::read_dir(name).unwrap().map(|e| e.unwrap().path()).filter(|path| path.is_file()) {
+                fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+            }
         }
+        for path in fs::read_dir(place.folder.path().join("config")).unwrap().map(|e| e.unwrap().path()) {
+            fs::write(&path, place.moved(&fs::read_to_string(&path).unwrap())).unwrap();
+        }
+        place
+    }
+
+    fn moved(&self, text: &str) -> String {
+        text.replace("7447", &self.ports[0]).replace("8080", &self.ports[1])
+    }
+
+    /// The line in a shell that finds the programs under test.
+    fn shell(&self, line: &str) -> Output {
+        let path = std::env::var("PATH").unwrap_or_default();
+        let programs = Path::new(&program()).parent().unwrap().to_owned();
+        let mut command = Command::new("bash");
+        command.args(["-o", "pipefail", "-c", line]).current_dir(self.folder.path());
+        command.env("PATH", format!("{}:{path}", programs.display())).output().unwrap()
+    }
+
+    /// Runs one line of a page, and compares what it prints with what the page shows.
+    fn run(&mut self, step: &Step) -> Result<(), String> {
+        let line = self.moved(&step.line);
+        let arguments = arguments(&line).unwrap_or_default();
+        match arguments.first().map(String::as_str) {
+            Some(command @ ("run" | "workbench")) => {
+                // One daemon of a page after the other has the ports.
+                if command == "run" {
+                    self.end();
+                }
+                self.running.push(Running::start(self.folder.path(), &arguments));
+                return Ok(());
+            }
+            // What the bridge of the line before it would send.
+            Some("discover") if line.contains("--connect") => {
+                let mut play = Command::new(program());
+                play.args(["play", "recordings/sticking.mcap", "--prefix", "plant1/area1/mqtt", "--speed", "50"]);
+                play.args(["--connect", &format!("tcp/127.0.0.1:{}", self.ports[0])]).stdout(Stdio::null());
+                self.running.push(Running(play.current_dir(self.folder.path()).spawn().unwrap()));
+            }
+            // Its recording is whole once the daemon has ended.
+            Some("replay") if line.contains("recordings/demo") => self.end(),
+            _ => {}
+        }
+        let once = || {
+            let output = self.shell(&line);
+            let [printed, told] =
+                [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+            if !output.status.success() {
+                return Err(told);
+            }
+            match missing(&step.shown, &printed) {
+                Some(lacks) => Err(format!("shows\n{lacks}\nand this build prints\n{printed}{told}")),
+                None => Ok(()),
+            }
+        };
+        if line.starts_with("curl ") {
+            // Estimates take a moment after the last sample.
+            wait_for(&line, || once().ok());
+            return Ok(());
+        }
+        once()
+    }
+
+    fn end(&mut self) {
+        self.running.drain(..).for_each(Running::stop);
     }
 }
 
@@ -228,98 +334,146 @@ fn missing(shown: &[String], printed: &str) -> Option<String> {
     shown.iter().filter(|line| line.trim() != "...").find(|line| !printed.any(|p| shows(line, p))).cloned()
 }
 
-#[track_caller]
-fn compare(step: &Step, printed: &str) {
-    if let Some(line) = missing(&step.shown, printed) {
-        panic!("{}: line {}: {}\nshows\n{line}\nand this build prints\n{printed}", step.page, step.number, step.line);
-    }
-}
-
-/// Runs one line in a folder; the ports are the test's.
-#[track_caller]
-fn run(step: &Step, arguments: &[String], folder: &Path) {
-    let output = Command::new(program()).args(arguments).current_dir(folder).output().unwrap();
-    let (printed, told) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
-    assert!(output.status.success(), "{}: line {}: {}\n{told}", step.page, step.number, step.line);
-    compare(step, &printed);
+fn is_long(step: &Step) -> bool {
+    step.line.starts_with("stiction-lab ")
 }
 
 #[test]
-fn the_five_minutes_work_as_pasted() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    copied(&["recordings", "config", "examples"], folder);
-    // The usual ports may be taken on the machine that runs the tests.
-    let (bus, web) = (free_port().to_string(), free_port().to_string());
-    let moved = |text: &str| text.replace("7447", &bus).replace("8080", &web);
-    let config = folder.join("config/demo.toml");
-    fs::write(&config, moved(&fs::read_to_string(&config).unwrap())).unwrap();
-
-    let page = "docs/five-minutes.md";
-    let text = fs::read_to_string(page).unwrap();
-    let mut daemon = None;
-    let mut done = 0;
-    for step in steps(page, &text, &["sh", "console"]) {
-        let line = moved(&step.line);
-        if let Some(arguments) = arguments(&line) {
-            if arguments[0] == "run" {
-                daemon = Some(Running::start(folder, &arguments));
-            } else {
-                if line.contains("replay recordings/demo") {
-                    daemon.take().expect("a daemon to end").stop();
-                }
-                run(&step, &arguments, folder);
+fn every_line_of_the_pages_runs_and_prints_what_is_shown() {
+    let (mut faults, mut done, mut used) = (Vec::new(), 0, BTreeSet::new());
+    for (page, text) in pages() {
+        let mut here = Place::new();
+        let steps = steps(&page, &text, &["sh", "console"]);
+        // Pages that ask a daemon and start none are of one that has heard the recording of a sticking valve.
+        let starts = |step: &Step| step.line.starts_with("stictiond run");
+        if steps.iter().any(|step| step.line.starts_with("curl ")) && !steps.iter().any(starts) {
+            for line in ["stictiond run --config config/demo.toml", HEARD] {
+                let step = Step { page: page.clone(), number: 0, line: line.to_owned(), shown: Vec::new() };
+                faults.extend(here.run(&step).err());
             }
-        } else if line.starts_with("curl ") {
-            let words = words(&line);
-            let (address, path) = words[2].trim_start_matches("http://").split_once('/').unwrap();
-            // Estimates take a moment after the last sample; series of one name come in any order.
-            wait_for(&step.line, || {
-                let metrics = http(address, &format!("/{path}"));
-                step.shown.iter().all(|shown| metrics.lines().any(|line| line == shown)).then_some(())
-            });
-        } else {
-            assert!(NOT_RUN.iter().any(|known| line.starts_with(known)), "line {}: {line}", step.number);
-            continue;
         }
-        done += 1;
-    }
-    assert!(done >= 9 && daemon.is_none(), "only {done} steps");
-}
-
-#[test]
-fn outputs_on_the_other_pages_are_those_of_this_build() {
-    let folder = tempfile::tempdir().unwrap();
-    copied(&["recordings", "config", "examples"], folder.path());
-    let mut done = 0;
-    let others =
-        pages().into_iter().filter(|(page, _)| !["docs/five-minutes.md", "docs/tutorial.md"].contains(&page.as_str()));
-    for (page, text) in others {
-        for step in steps(&page, &text, &["console"]) {
-            run(&step, &arguments(&step.line).unwrap(), folder.path());
+        for step in steps {
+            if let Some(known) = ELSEWHERE.iter().position(|(start, ..)| step.line.starts_with(start)) {
+                used.insert(known);
+                continue;
+            }
+            if is_long(&step) {
+                continue;
+            }
+            if let Some(tool) = ["curl", "openssl"].into_iter().find(|tool| step.line.starts_with(*tool))
+                && !here.shell(&format!("{tool} --version || {tool} version")).status.success()
+            {
+                skipped("every_line_of_the_pages_runs", &format!("no {tool} for {page}: line {}", step.number));
+                continue;
+            }
             done += 1;
+            faults
+                .extend(here.run(&step).err().map(|why| format!("{page}: line {}: {}: {why}", step.number, step.line)));
+        }
+        here.end();
+    }
+    for (start, file, part) in ELSEWHERE {
+        let text = fs::read_to_string(file).unwrap_or_default();
+        if !text.contains(part) || text.is_empty() {
+            faults.push(format!("{file} does not run {start}: it lacks {part}"));
         }
     }
-    assert!(done >= 2, "{done}");
+    let stale = (0..ELSEWHERE.len()).filter(|known| !used.contains(known)).map(|known| ELSEWHERE[known].0);
+    faults.extend(stale.map(|start| format!("no page has a line that begins with {start}: take it off ELSEWHERE")));
+    assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
+    assert!(done > 30, "only {done} lines were found");
+}
+
+/// What makes the daemon of the pages have an answer and an alarm.
+const HEARD: &str = "stictiond play recordings/sticking.mcap --connect tcp/127.0.0.1:7447 --prefix demo --speed 200";
+
+/// A line with numbers so small that it ends in minutes, on recordings that are shipped.
+fn small(line: &str) -> String {
+    const COUNTS: [(&str, &str); 8] = [
+        ("--loops", "40"),
+        ("--simulated", "20"),
+        ("--cases", "1"),
+        ("--intervals", "4"),
+        ("--bump-test", "4"),
+        ("--plants", "2"),
+        ("--reversals", "8"),
+        ("--for", "5"),
+    ];
+    let mut words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+    for at in 1..words.len() {
+        if let Some((_, few)) = COUNTS.iter().find(|(flag, _)| *flag == words[at - 1]) {
+            words[at] = (*few).to_owned();
+        }
+    }
+    if line.contains("challenge run") {
+        words.extend(["--evaluations", "3000"].map(str::to_owned));
+    }
+    words.join(" ")
 }
 
 #[test]
-fn the_tutorial_shows_output_of_each_step_and_writes_its_report() {
-    let folder = tempfile::tempdir().unwrap();
-    copied(&["recordings"], folder.path());
-    let text = fs::read_to_string("docs/tutorial.md").unwrap();
-    let steps = steps("docs/tutorial.md", &text, &["console"]);
-    assert_eq!(steps.len(), text.matches("\n$ ").count(), "a step is in a block of another mark");
-    for step in &steps {
-        assert!(step.shown.iter().any(|line| line.trim() != "..."), "line {}: no output is shown", step.number);
-        run(step, &arguments(&step.line).unwrap(), folder.path());
+#[ignore = "minutes; --all runs it"]
+fn lines_that_take_long_run_with_small_numbers() {
+    let (mut faults, mut done) = (Vec::new(), 0);
+    for (page, text) in pages() {
+        let mut here = Place::new();
+        let index = "file,label\nrecordings/sticking.mcap,stiction\nrecordings/physical.mcap,stiction\n";
+        fs::write(here.folder.path().join("INDEX.csv"), index).unwrap();
+        for step in steps(&page, &text, &["sh", "results"]).into_iter().filter(is_long) {
+            let step = Step { line: small(&step.line), shown: Vec::new(), ..step };
+            done += 1;
+            faults
+                .extend(here.run(&step).err().map(|why| format!("{page}: line {}: {}: {why}", step.number, step.line)));
+        }
     }
-    let report = fs::read_to_string(folder.path().join("fic501.html")).unwrap();
-    assert!(report.contains("41FIC501"));
+    assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
+    assert!(done > 10, "only {done} lines were found");
+}
+
+/// `tests/interop/receivers.py` runs the consumer of alarms.
+#[test]
+fn the_consumer_on_the_page_is_the_example() {
+    let example = fs::read_to_string("examples/alarm_webhook.py").unwrap();
+    assert!(fs::read_to_string("docs/alarms.md").unwrap().contains(&format!("```python\n{example}```")));
+}
+
+/// Configurations that the pages show are files in `config`, and `check` finds no fault in any but the one that has them.
+#[test]
+fn configurations_of_the_pages_are_files_without_faults() {
+    let mut shown = BTreeSet::new();
+    for (page, text) in pages() {
+        for block in text.split("```toml\n").skip(1) {
+            let block = block.split("```").next().unwrap();
+            let lines: Vec<&str> = block.lines().map(|line| line.strip_prefix("   ").unwrap_or(line)).collect();
+            let Some(name) = lines[0].strip_prefix("# ").and_then(|line| line.split(':').next()) else { continue };
+            let file = fs::read_to_string(name).unwrap_or_else(|e| panic!("{page}: {name}: {e}"));
+            assert_eq!(lines.join("\n").trim_end(), file.trim_end(), "{page} shows another {name}");
+            shown.insert(name.to_owned());
+        }
+    }
+    assert!(shown.len() >= 7, "{shown:?}");
+    let here = Place::new();
+    for path in fs::read_dir("config")
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .filter(|p| p.extension().is_some_and(|e| e == "toml"))
+    {
+        let name = path.display().to_string();
+        // Cases of `stictiond test` are no configuration.
+        if name != "config/expectations.toml" {
+            let checked = here.shell(&format!("stictiond check {name}"));
+            assert_eq!(
+                checked.status.success(),
+                name != "config/broken.toml",
+                "{}",
+                String::from_utf8_lossy(&checked.stderr)
+            );
+        }
+    }
 }
 
 /// Pages whose figures are all quoted from docs/results.
-const OF_FIGURES: [&str; 4] = ["docs/compare.md", "docs/evaluation.md", "docs/gap-evaluation.md", "docs/sizing.md"];
+const OF_FIGURES: [&str; 2] = ["docs/accuracy.md", "docs/dev/evaluation.md"];
 
 /// What is kept, by the last command that printed it.
 fn kept() -> Vec<(String, String)> {

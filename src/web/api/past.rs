@@ -60,7 +60,7 @@ struct History {
 
 /// What is kept of a recorded estimate; fields as in `stictiond.estimate.v1`.
 #[derive(Debug, Clone, Serialize, Deserialize, schemars::JsonSchema)]
-#[allow(missing_docs)] // defined in docs/verdicts.md
+#[allow(missing_docs)] // defined in docs/read-a-result.md
 pub(super) struct PastWindow {
     #[serde(skip_deserializing)]
     pub start_ms: f64,

@@ -1,5 +1,5 @@
 //! Many windows of one valve whose s is known: false alarms, power, dates and intervals. `--nocapture` prints the figures
-//! of docs/over-time.md.
+//! of docs/plant.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use stiction::core::over_time::{ChangeKind, OverTime, WindowResult, over_time};

@@ -1,5 +1,5 @@
 //! What a repair buys, foretold from a record and simulated in truth. `--nocapture` prints the figures of
-//! docs/over-time.md.
+//! docs/plant.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::cases;

@@ -2,7 +2,7 @@
 //!
 //! [`over_time`] fits stretches between changes to the results of the windows. In a stretch the share of windows with
 //! stiction is constant, and so is ln s, apart from its interval and a variance between windows (random effects); s may also
-//! drift linearly. `docs/over-time.md` has the formulas and error rates.
+//! drift linearly. `docs/plant.md` has the formulas and error rates.
 
 mod changes;
 mod level;

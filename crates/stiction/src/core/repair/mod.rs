@@ -4,7 +4,7 @@
 //! disturbance the residuals of PV, resampled in blocks. Without stiction the disturbance is between the measurement noise
 //! and all of the residuals, because the part due to model error, which would vanish with the cycle, is unknown. Valve,
 //! process and controller are drawn from those compatible with the record; a draw is kept only if its loop moves PV as
-//! recorded. The spread of the draws gives the intervals. `docs/over-time.md` has the figures.
+//! recorded. The spread of the draws gives the intervals. `docs/plant.md` has the figures.
 
 mod draws;
 mod plant;

@@ -36,7 +36,7 @@ const LEAST_DRAWS: usize = 8;
 const ASKED: usize = 8;
 const AGREED: f64 = 0.75;
 /// Intervals are wider than the spread of the draws by this factor, chosen for coverage on simulated loops, see
-/// docs/over-time.md.
+/// docs/plant.md.
 const WIDER: [f64; 3] = [2.5, 2.0, 3.5];
 const DAY_S: f64 = 86_400.0;
 

@@ -1,4 +1,4 @@
-//! The one list of verdict texts: reports, alarms, terminal, page (`src/web/assets/verdicts.js`) and docs/verdicts.md have
+//! The one list of verdict texts: reports, alarms, terminal, page (`src/web/assets/verdicts.js`) and docs/read-a-result.md have
 //! them from here.
 //!
 //! A verdict below the decision threshold says what was not found, never that a valve is healthy.
