@@ -18,7 +18,7 @@ use stiction_files::{FileError, Loaded, ReadOptions};
 /// Options for exports. What the file itself shows needs no option.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct ReadArgs {
-    /// Role of each tag or column: op=TAG,pv=TAG[,sp=TAG][,mv=TAG][,mode=TAG][,t=COLUMN]. Columns by name or by number
+    /// Role of each tag or column: op=TAG,pv=TAG[,sp=TAG][,position=TAG][,mode=TAG][,t=COLUMN]. Columns by name or by number
     /// from 1; overrides roles recognised from names. Long tables also take tag=, value=, quality=.
     #[arg(long, value_name = "MAP", value_parser = Map::parse, help_heading = "Reading files")]
     pub map: Option<Map>,

@@ -54,6 +54,7 @@ enum CommandArgs {
     Play(play::Args),
     Replay(replay::Args),
     Analyze(analyze::Args),
+    #[command(visible_alias = "diagnose")]
     Gap(gap::Args),
     Workbench(workbench::Args),
     Simulate(simulate::Args),

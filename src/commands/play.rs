@@ -22,7 +22,7 @@ use stiction_files::LoadedLoop;
 const MAX_RATE: f64 = 20_000.0;
 /// Windows that a daemon may have to judge before `--speed max` waits for it: it gives windows up beyond 1,024.
 const WAITING: f64 = 256.0;
-/// Shortest time between two windows of a loop that is expected at first, s: the default of `[window] hop_s`.
+/// Shortest time between two windows of a loop that is expected at first, s: the default of `[window] every_s`.
 const HOP_S: f64 = 600.0;
 /// Pause between two looks at the daemons, and how long one may take to answer.
 const LOOK: Duration = Duration::from_secs(1);

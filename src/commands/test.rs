@@ -290,7 +290,7 @@ pub(super) fn report_on(
 /// The newest window in one line, and why there is no alarm in another.
 fn summary(Heard { found, why_no_alarm }: &Heard) -> Vec<String> {
     let Some(estimate) = &found.estimate else {
-        return vec!["no window came due; use longer data, or a shorter [window] hop_s".to_owned()];
+        return vec!["no window came due; use longer data, or a shorter [window] every_s".to_owned()];
     };
     let word = |value: &Value| value.as_str().unwrap_or("none").to_owned();
     let reason = estimate["reason"].as_str().map_or_else(String::new, |reason| format!(" ({reason})"));

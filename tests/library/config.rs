@@ -122,9 +122,9 @@ fn check_lists_them_all_and_fails() {
 #[test]
 fn nan_and_infinity_are_refused_with_the_key_and_the_range() {
     for (word, table) in [("nan", "window"), ("+inf", "window"), ("-nan", "window")] {
-        let faults = Config::parse(&format!("[site]\nprefix = \"p\"\n[{table}]\nhop_s = {word}\n")).unwrap_err();
+        let faults = Config::parse(&format!("[site]\nprefix = \"p\"\n[{table}]\nevery_s = {word}\n")).unwrap_err();
         let [fault] = faults.as_slice() else { panic!("{faults:?}") };
-        assert_eq!((fault.line, fault.key.as_str()), (4, "window.hop_s"));
+        assert_eq!((fault.line, fault.key.as_str()), (4, "window.every_s"));
         assert_eq!(fault.message, format!("{word} is not allowed: a setting must be a finite number"));
         assert!(fault.remedy.starts_with("write a number from "), "{}", fault.remedy);
     }

@@ -71,7 +71,7 @@ fn the_settings_of_the_configuration_are_used() {
     );
     let long = config("c.toml", "[[loop]]\nname = \"FIC101\"\nhop_s = 86400.0\n");
     let text = stdout(&expect(1, &["test", &long, &file]));
-    assert!(text.contains("found no estimate") && text.contains("hop_s"), "{text}");
+    assert!(text.contains("found no estimate") && text.contains("every_s"), "{text}");
     let blind = config("d.toml", "[input]\ndiscover = false\n");
     let text = stdout(&expect(2, &["test", &blind, &file]));
     assert!(text.contains("does not watch FIC101") && text.contains("[[loop]]"), "{text}");

@@ -47,5 +47,5 @@ fn what_another_configuration_changes_is_named_and_the_recorded_one_changes_noth
 
     // A hop twice as long has half the windows; those that both have are compared.
     let slower = judged(&recorded.replace("hop_s = 300", "hop_s = 600"), &[]);
-    assert!(slower.contains("settings that differ: window.hop_s") && slower.contains(" before, "), "{slower}");
+    assert!(slower.contains("settings that differ: window.every_s") && slower.contains(" before, "), "{slower}");
 }

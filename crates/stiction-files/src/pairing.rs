@@ -10,7 +10,7 @@ use crate::export::names::role;
 use stiction::core::record::Signal;
 use stiction::core::units::{is_loop_name, loop_name_from};
 use stiction_engine::codec::{self, Bundle, Memory};
-use stiction_engine::config::NAME_MARK;
+use stiction_engine::config::{NAME_MARK, setting_of};
 
 /// Most keys and names examined.
 const MAX_NAMES: usize = 1_000_000;
@@ -128,7 +128,8 @@ impl Listing<'_> {
         for name in &whole {
             let _ = write!(text, "\n[[loop]]\nname = {}\n", quoted(name));
             for (signal, (_, source)) in seen.loops[*name].iter().filter(|_| keyed) {
-                let _ = writeln!(text, "{signal} = {}", quoted(source));
+                let key = Signal::from_name(signal).map_or(*signal, setting_of);
+                let _ = writeln!(text, "{key} = {}", quoted(source));
             }
         }
         if !lacking.is_empty() {

@@ -81,7 +81,7 @@ mod tests {
     #[test]
     fn nothing_is_subscribed_to_twice() {
         let text = "[[bundle]]\nkey = \"gw/a/**\"\n[[bundle]]\nkey = \"gw/**\"\n[[bundle]]\nkey = \"p/x\"\n\
-                    [[loop]]\nname = \"A\"\nop = \"plc#A.OP\"\npv = \"plc#A.PV\"\nsp = \"gw/sp\"\nmv = \"y/mv\"\n";
+                    [[loop]]\nname = \"A\"\nop = \"plc#A.OP\"\npv = \"plc#A.PV\"\nsp = \"gw/sp\"\nposition = \"y/mv\"\n";
         assert_eq!(subscriptions(&config(text)), ["p/**", "gw/**", "plc", "y/mv"]);
     }
 

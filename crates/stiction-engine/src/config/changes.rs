@@ -6,6 +6,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::loops::setting_of;
 use super::{Config, LoopConfig};
 use stiction::core::record::Signal;
 use stiction::core::units::LoopKind;
@@ -58,7 +59,7 @@ impl ChangedLoop {
     /// Whether its signals come under other keys.
     #[must_use]
     pub fn is_remapped(&self) -> bool {
-        self.keys.iter().any(|key| Signal::ALL.iter().any(|signal| signal.name() == key))
+        self.keys.iter().any(|key| Signal::ALL.iter().any(|signal| setting_of(*signal) == key))
     }
 }
 
@@ -147,7 +148,8 @@ fn by_name(config: &Config) -> HashMap<&str, &LoopConfig> {
 /// The keys of `[[loop]]` in which two entries differ.
 fn differing_keys(old: &LoopConfig, new: &LoopConfig) -> Vec<String> {
     let key_of = |one: &LoopConfig, signal| one.keys.iter().find(|(s, _)| *s == signal).map(|(_, key)| key.clone());
-    let mapped = Signal::ALL.into_iter().filter(|s| key_of(old, *s) != key_of(new, *s)).map(|s| s.name().to_owned());
+    let mapped =
+        Signal::ALL.into_iter().filter(|s| key_of(old, *s) != key_of(new, *s)).map(|s| setting_of(s).to_owned());
     let [before, after] = [old, new].map(|one| {
         let mut flat = BTreeMap::new();
         flatten("", &serde_json::to_value(one).unwrap_or_default(), &mut flat);
@@ -203,7 +205,9 @@ fn flatten(key: &str, value: &Value, out: &mut BTreeMap<String, Value>) {
         return;
     };
     for (name, value) in table {
-        let dotted = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
+        // The field has the name by which recordings hash it.
+        let name = if name == "hop_s" { "every_s" } else { name };
+        let dotted = if key.is_empty() { name.to_owned() } else { format!("{key}.{name}") };
         flatten(&dotted, value, out);
     }
 }
@@ -246,7 +250,8 @@ mod tests {
         for (old, new, key) in [
             ("", "op = \"gw/a\"\n", "op"),
             ("pv = \"gw/a\"\n", "pv = \"gw/b\"\n", "pv"),
-            ("", "hop_s = 60\n", "hop_s"),
+            ("", "every_s = 60\n", "every_s"),
+            ("", "position = \"gw/a\"\n", "position"),
             ("", "max_window_s = 86400\n", "max_window_s"),
             ("", "max_gap_s = 60\n", "max_gap_s"),
             ("", "lateness_s = 60\n", "lateness_s"),
@@ -273,9 +278,9 @@ mod tests {
 
     #[test]
     fn a_table_changes_the_loops_that_take_their_settings_from_it() {
-        let loops = "[[loop]]\nname = \"A\"\n[[loop]]\nname = \"B\"\nhop_s = 30\n";
-        let found = changes(loops, &format!("[window]\nhop_s = 60\n{loops}"));
-        assert_eq!(found.settings, ["window.hop_s"]);
+        let loops = "[[loop]]\nname = \"A\"\n[[loop]]\nname = \"B\"\nevery_s = 30\n";
+        let found = changes(loops, &format!("[window]\nevery_s = 60\n{loops}"));
+        assert_eq!(found.settings, ["window.every_s"]);
         let names: Vec<&str> = found.changed.iter().map(|one| one.name.as_str()).collect();
         assert_eq!(names, ["A"]);
     }

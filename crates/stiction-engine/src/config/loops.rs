@@ -64,7 +64,7 @@ pub(super) fn read_loops(
                 let remedy = "write a full key, such as gateway/opc/FIC101.PV, or KEY#NAME for one value of a payload";
                 r.refuse(
                     line,
-                    signal.name(),
+                    setting_of(*signal),
                     format!("{key:?} is not a key: it has an empty part, an empty name or a wildcard"),
                     remedy,
                 );
@@ -72,11 +72,16 @@ pub(super) fn read_loops(
             match owners.insert(key.clone(), index) {
                 None => {}
                 Some(owner) if owner == index => {
-                    r.refuse(line, signal.name(), format!("{key:?} occurs twice in this loop"), "map each key once");
+                    r.refuse(
+                        line,
+                        setting_of(*signal),
+                        format!("{key:?} occurs twice in this loop"),
+                        "map each key once",
+                    );
                 }
                 Some(owner) => {
                     let message = format!("{key:?} is already mapped for loop {:?}", loops[owner].name);
-                    r.refuse(line, signal.name(), message, "map each key once");
+                    r.refuse(line, setting_of(*signal), message, "map each key once");
                 }
             }
         }
@@ -84,6 +89,16 @@ pub(super) fn read_loops(
         loops.push(entry);
     }
     loops
+}
+
+/// The key of `[[loop]]` that maps a signal. MV is the controller output elsewhere in the trade, so the valve position has
+/// its own word where people write it.
+#[must_use]
+pub const fn setting_of(signal: Signal) -> &'static str {
+    match signal {
+        Signal::Mv => "position",
+        other => other.name(),
+    }
 }
 
 fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmParams) -> LoopConfig {
@@ -96,7 +111,7 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         None => r.refuse(line, "name", "is missing", "write name = \"FIC101\""),
         Some(_) => {}
     }
-    let keys = Signal::ALL.into_iter().filter_map(|s| r.text(s.name()).map(|(key, _)| (s, key))).collect();
+    let keys = Signal::ALL.into_iter().filter_map(|s| r.text(setting_of(s)).map(|(key, _)| (s, key))).collect();
     let op_range = r.pair("op_range", "two numbers, such as [0.0, 100.0]").and_then(|(range, line)| {
         if range[1] > range[0] {
             return Some(range);

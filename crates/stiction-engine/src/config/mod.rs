@@ -19,7 +19,7 @@ pub use bundle::{BundleKey, NAME_MARK};
 pub use changes::{ChangedLoop, ConfigChanges};
 pub use deliver::{Address, Deliver};
 pub use input::Input;
-pub use loops::Action;
+pub use loops::{Action, setting_of};
 pub use reader::Fault;
 use reader::{Lines, TableReader, subtable, syntax_fault};
 pub use scale::{Daemon, is_id};
@@ -391,7 +391,7 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
         max_periods: r.number("max_periods", d.max_periods, 2.0, 10_000.0),
         min_samples_per_period: r.number("min_samples_per_period", d.min_samples_per_period, 4.0, 10_000.0),
         min_reversals: r.integer("min_reversals", d.min_reversals as u64, 1, 10_000) as usize,
-        hop_s: r.number("hop_s", d.hop_s, 0.001, year_s),
+        hop_s: r.number(r.either("every_s", "hop_s"), d.hop_s, 0.001, year_s),
         max_window_s: r.number("max_window_s", d.max_window_s, 0.01, year_s),
         max_gap_s: r.number("max_gap_s", d.max_gap_s, 0.0, year_s),
         lateness_s: r.number("lateness_s", d.lateness_s, 0.0, 86_400.0),
@@ -412,7 +412,7 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
     }
     if w.max_window_s < w.hop_s && (w.max_window_s, w.hop_s) != (d.max_window_s, d.hop_s) {
         let line = r.line();
-        r.refuse(line, "max_window_s", format!("{} is below hop_s {}", w.max_window_s, w.hop_s), "raise it");
+        r.refuse(line, "max_window_s", format!("{} is below every_s {}", w.max_window_s, w.hop_s), "raise it");
     }
     w
 }
@@ -512,13 +512,13 @@ mod tests {
 
     #[test]
     fn every_fault_is_told_at_once_with_line_and_remedy() {
-        let text = "[site]\nprefx = \"a\"\n[window]\nhop_s = \"x\"\nmin_periods = 1\n[alarm]\nraise = [5, 4]\n[nonsense]\n\
-                    [[loop]]\nname = \"A\"\nhop_s = 1\n[[loop]]\nname = \"A\"\nop_range = [5, 5]\n";
+        let text = "[site]\nprefx = \"a\"\n[window]\nevery_s = \"x\"\nmin_periods = 1\n[alarm]\nraise = [5, 4]\n[nonsense]\n\
+                    [[loop]]\nname = \"A\"\nevery_s = 1\n[[loop]]\nname = \"A\"\nop_range = [5, 5]\n";
         let faults = Config::parse(text).unwrap_err();
         let seen: Vec<(usize, &str)> = faults.iter().map(|f| (f.line, f.key.as_str())).collect();
         for wanted in [
             (2, "site.prefx"),
-            (4, "window.hop_s"),
+            (4, "window.every_s"),
             (5, "window.min_periods"),
             (7, "alarm.raise"),
             (8, "nonsense"),
@@ -552,10 +552,24 @@ mod tests {
 
     #[test]
     fn a_loop_overrides_windows_and_alarms() {
-        let text = "[site]\nprefix = \"p\"\n[window]\nhop_s = 60\n[[loop]]\nname = \"A\"\nhop_s = 30\ns_limit_op = 2\n";
+        let text =
+            "[site]\nprefix = \"p\"\n[window]\nevery_s = 60\n[[loop]]\nname = \"A\"\nevery_s = 30\ns_limit_op = 2\n";
         let config = Config::parse(text).unwrap();
         let a = config.loop_named("A").unwrap();
         assert_eq!((a.window.hop_s, a.alarm.s_limit_op, config.window.hop_s), (30.0, 2.0, 60.0));
+        // Recordings hold configurations with the older key.
+        assert_eq!(Config::parse(&text.replace("every_s", "hop_s")).unwrap(), config);
+        let both = Config::parse(&text.replace("every_s = 60", "every_s = 60\nhop_s = 70")).unwrap_err();
+        assert_eq!((both.len(), both[0].key.as_str()), (1, "window.hop_s"));
+    }
+
+    #[test]
+    fn an_older_key_names_the_new_one() {
+        let text = "[site]\nprefix = \"p\"\n[[loop]]\nname = \"A\"\nmv = \"gw/a\"\n";
+        let faults = Config::parse(text).unwrap_err();
+        assert_eq!(faults[0].to_string(), "line 5: loop[0].mv: is called position now; write position = …");
+        let config = Config::parse(&text.replace("mv =", "position =")).unwrap();
+        assert_eq!(config.loops[0].keys, [(Signal::Mv, "gw/a".to_owned())]);
     }
 
     #[test]

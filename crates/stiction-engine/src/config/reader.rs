@@ -50,6 +50,9 @@ pub(crate) fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
     Fault { line, key: String::new(), message: error.message().trim().replace('\n', ", "), remedy: String::new() }
 }
 
+/// Keys that had another name before anything was released.
+const RENAMED: [(&str, &str); 1] = [("mv", "position")];
+
 /// A table being read: each requested key is known; any other is a fault when the table is closed.
 pub(crate) struct TableReader<'a, 'i> {
     lines: &'a Lines,
@@ -94,6 +97,12 @@ impl<'a, 'i> TableReader<'a, 'i> {
             None => format!("is {} {}", article(found.type_str()), found.type_str()),
         };
         self.fault(line, key, message, format!("write {wanted}"));
+    }
+
+    /// The first of two names of one key, unless the table has only the second.
+    pub fn either(&self, key: &'static str, older: &'static str) -> &'static str {
+        let has = |key: &str| self.table.is_some_and(|table| table.iter().any(|(k, _)| k.get_ref() == key));
+        if has(older) && !has(key) { older } else { key }
     }
 
     /// A finite number in `min..=max`.
@@ -251,6 +260,10 @@ impl<'a, 'i> TableReader<'a, 'i> {
             .map(|(k, _)| (k.get_ref().to_string(), self.lines.of(k.span().start)))
             .collect();
         for (key, line) in unknown {
+            if let Some((_, new)) = RENAMED.iter().find(|(old, new)| *old == key && self.known.contains(new)) {
+                self.fault(line, &key, format!("is called {new} now"), format!("write {new} = …"));
+                continue;
+            }
             let nearest = nearest(&key, &self.known);
             let remedy = nearest.map_or_else(
                 || format!("valid keys: {}", self.known.join(", ")),

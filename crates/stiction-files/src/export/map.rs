@@ -20,7 +20,7 @@ pub(super) enum Part {
     Signal(Signal),
 }
 
-/// `op=TAG,pv=TAG[,sp=TAG][,mv=TAG][,mode=TAG][,t=COLUMN][,tag=COLUMN][,value=COLUMN][,quality=COLUMN]`.
+/// `op=TAG,pv=TAG[,sp=TAG][,position=TAG][,mode=TAG][,t=COLUMN][,tag=COLUMN][,value=COLUMN][,quality=COLUMN]`.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Map {
     parts: Vec<(Part, String)>,
@@ -32,6 +32,7 @@ fn part(word: &str) -> Option<Part> {
         "tag" => Some(Part::Tag),
         "value" => Some(Part::Value),
         "quality" => Some(Part::Quality),
+        "position" => Some(Part::Signal(Signal::Mv)),
         other => Signal::from_name(other).map(Part::Signal),
     }
 }
@@ -42,8 +43,7 @@ impl Map {
     /// # Errors
     /// A sentence that shows what is valid.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let known =
-            "write op=TAG,pv=TAG[,sp=TAG][,mv=TAG][,mode=TAG][,t=COLUMN], with columns by name or by number from 1";
+        let known = "write op=TAG,pv=TAG[,sp=TAG][,position=TAG][,mode=TAG][,t=COLUMN], with columns by name or by number from 1";
         let mut parts: Vec<(Part, String)> = Vec::new();
         for piece in text.split(',') {
             match piece.split_once('=').and_then(|(word, tag)| part(word).map(|p| (p, tag.trim()))) {
