@@ -33,6 +33,7 @@ pub mod restore;
 pub mod retention;
 mod routes;
 mod schedule;
+mod senders;
 mod shutdown;
 mod signals;
 pub mod sim_daemon;

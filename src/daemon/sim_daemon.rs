@@ -199,7 +199,7 @@ impl SimDaemon {
 
     /// A message arrives from the bus.
     pub fn deliver(&self, key: &str, payload: &[u8]) {
-        let envelope = Envelope { key, encoding: None, bus_ns: None };
+        let envelope = Envelope { key, encoding: None, bus_ns: None, sender: None };
         self.intake.take(&envelope, payload.len(), |bytes| bytes.extend_from_slice(payload));
     }
 

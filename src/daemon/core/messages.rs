@@ -5,9 +5,10 @@ use std::time::Duration;
 use super::Core;
 use crate::daemon::feeds::Feed;
 use crate::daemon::routes::Route;
+use crate::daemon::senders::Doubt;
 use crate::daemon::source::Message;
 use crate::runtime::metrics::Label;
-use stiction::core::record::Signal;
+use stiction::core::record::{Sample, Signal};
 use stiction::core::units::s_from_ns;
 use stiction_engine::codec::{self, Bundle, CodecError};
 use stiction_engine::engine::LoopId;
@@ -50,6 +51,7 @@ impl Core {
             self.watch_unit(m, first.t_ns);
         }
         for sample in &samples {
+            self.watch_senders(id, m, sample);
             self.take_sample(id, *sample, m.arrival_ns);
         }
         self.samples = samples;
@@ -89,6 +91,7 @@ impl Core {
                 continue;
             }
             self.register(id);
+            self.watch_senders(id, m, &one.sample);
             self.take_sample(id, one.sample, m.arrival_ns);
         }
     }
@@ -122,6 +125,19 @@ impl Core {
             }
         }
         true
+    }
+
+    /// Two sensors that write to one key are named.
+    fn watch_senders(&mut self, id: LoopId, m: &Message, sample: &Sample) {
+        let Some(doubt) = self.senders.hear(id, m.sender, sample) else { return };
+        let shown = match doubt {
+            Doubt::Senders => "by two publishers in turn".to_owned(),
+            Doubt::Values => "with other values for times that came already (or times are too coarse)".to_owned(),
+            Doubt::Clocks(ns) => format!("with times that jump back and forth by {:.3} s", s_from_ns(ns)),
+        };
+        let (key, signal) = (m.buf.key().escape_debug(), sample.signal.name());
+        let text = format!("{key}: {signal} comes {shown}: two sensors on one key? Give each its own");
+        self.faults.raise_for("two senders", text, CONTEST_SHOWN);
     }
 
     /// Where a route leads; what leads nowhere is counted.

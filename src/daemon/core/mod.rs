@@ -32,6 +32,7 @@ use super::rerun::LastSeen;
 use super::restore::Memories;
 use super::routes::Routes;
 use super::schedule::Schedule;
+use super::senders::Senders;
 use super::worker::{Answered, Job, Workers};
 use crate::daemon::sink::deliver::{Item as Outgoing, Outbox};
 use crate::daemon::sink::keeper::Keeper;
@@ -70,6 +71,7 @@ pub struct Core {
     routes: Routes,
     bundles: Bundles,
     feeds: Feeds,
+    senders: Senders,
     workers: Workers,
     /// Windows that wait for a worker.
     schedule: Schedule<Job>,
@@ -170,6 +172,7 @@ impl Core {
             routes: Routes::new(config, shares),
             bundles: Bundles::new(config),
             feeds: Feeds::new(config),
+            senders: Senders::default(),
             codec: config.input.codec.clone(),
             input_limit: config.input.queue,
             engine: parts.engine,

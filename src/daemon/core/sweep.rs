@@ -236,6 +236,7 @@ impl Core {
         self.removed.retain(|id| !gone.contains(id));
         self.routes.forget(&gone);
         self.feeds.forget(&gone);
+        self.senders.forget(&gone);
         self.close_empty_shards(&gone);
     }
 

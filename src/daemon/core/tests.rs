@@ -188,6 +188,23 @@ fn two_gateways_that_spell_a_signal_differently_are_two_sources() {
 }
 
 #[test]
+fn two_sensors_on_one_key_are_a_fault_that_names_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = format!("[site]\nprefix = \"p\"\n[recording]\ndir = {:?}\n", dir.path().to_str().unwrap());
+    let (clock, disk) = (Clock::standing(START_NS), Arc::new(SystemDisk) as Arc<dyn Disk>);
+    let mut stage = SimDaemon::start(Config::parse(&text).unwrap(), &text, &clock, &disk, no_receiver).unwrap();
+    let named = "p/L/pv: pv comes with other values for times that came already";
+    let mut found = |times: i64| {
+        for (k, v) in (0..40).flat_map(|k| (0..times).map(move |v| (k + 100 * times, v))) {
+            stage.deliver("p/L/pv", format!(r#"{{"t": {}, "v": {v}}}"#, START_NS + k * 1_000_000_000).as_bytes());
+        }
+        stage.turn();
+        stage.faults().iter().any(|fault| fault.contains(named))
+    };
+    assert_eq!([found(1), found(2)], [false, true]);
+}
+
+#[test]
 fn times_in_another_unit_than_ns_are_a_fault_that_names_it() {
     let dir = tempfile::tempdir().unwrap();
     let text = format!("[site]\nprefix = \"p\"\n[recording]\ndir = {:?}\n", dir.path().to_str().unwrap());

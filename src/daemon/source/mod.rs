@@ -28,6 +28,8 @@ pub struct Message {
     pub buf: MessageBuf,
     /// The bus's time stamp, ns since 1970.
     pub bus_ns: Option<i64>,
+    /// Who published it, if it says so.
+    pub sender: Option<u64>,
     /// When it arrived, ns since 1970.
     pub arrival_ns: i64,
     /// Its bytes of the queue's budget.
@@ -59,6 +61,8 @@ pub struct Envelope<'a> {
     pub encoding: Option<&'a str>,
     /// The bus's time stamp, ns since 1970.
     pub bus_ns: Option<i64>,
+    /// Who published it, if it says so.
+    pub sender: Option<u64>,
 }
 
 impl Intake {
@@ -103,6 +107,7 @@ impl Intake {
         let message = Message {
             buf: self.pool.pack(envelope.key, envelope.encoding, payload),
             bus_ns: envelope.bus_ns,
+            sender: envelope.sender,
             arrival_ns: self.clock.now_ns(),
             room,
             share,

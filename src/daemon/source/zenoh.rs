@@ -206,9 +206,17 @@ fn enqueue(sample: &BusSample, intake: &Intake) {
         key: sample.key_expr().as_str(),
         encoding: encoding.as_deref(),
         bus_ns: sample.timestamp().map(|t| t.get_time().to_duration().as_nanos() as i64),
+        sender: sender_of(sample),
     };
     let payload = sample.payload();
     intake.take(&envelope, payload.len(), |bytes| payload.slices().for_each(|part| bytes.extend_from_slice(part)));
+}
+
+/// Who published a message: the session of its source information, else the one that stamped it.
+fn sender_of(sample: &BusSample) -> Option<u64> {
+    let session = sample.source_info().map(|info| u128::from_le_bytes(info.source_id().zid().to_le_bytes()));
+    let id = session.or_else(|| sample.timestamp().map(|t| u128::from_le_bytes(t.get_id().to_le_bytes())))?;
+    Some((id ^ id >> 64) as u64)
 }
 
 /// The encoding of a document under a key of the daemon, with its schema's name.
