@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use stiction::core::record::{Sample, Signal, Value};
 use stiction::core::units::{format_rfc3339, s_from_ns};
-use stiction_engine::analysis::repeated_timestamps;
+use stiction_engine::analysis::{repeated_timestamps, repeated_values};
 use stiction_engine::codec;
 use stiction_engine::codec::topic::{Leaf, Topic};
 use stiction_files::inputs::Unit;
@@ -231,7 +231,7 @@ fn of_table(args: &InfoArgs, unit: &Unit, kind: InputKind) -> anyhow::Result<Inf
         let mut summary = LoopInfo { name: one.name, ..LoopInfo::default() };
         one.samples.iter().for_each(|sample| summary.take(sample));
         summary.rows = first_and_last(&one.samples);
-        for note in repeated_timestamps(&one.samples) {
+        for note in repeated_timestamps(&one.samples).into_iter().chain(repeated_values(&one.samples)) {
             crate::cli::warn(format_args!("{name}: loop {}: {note}", summary.name));
         }
         info.messages += one.samples.len() as u64;

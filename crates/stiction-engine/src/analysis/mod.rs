@@ -21,12 +21,14 @@ mod points;
 pub mod predictions;
 pub mod rows;
 pub mod solver;
+mod still;
 pub mod text;
 
 pub use cut::{Cut, Detrend, Downsampled, Taken};
 pub use due::Due;
 pub use estimate::{Answer, Estimated, FitOverrides, Scored, delay_choice, estimate};
 pub use points::{Judgeable, MIN_SAMPLES, Points, Section, repeated_timestamps, usable};
+pub use still::repeated_values;
 
 use stiction::core::units::{format_rfc3339, number};
 use thiserror::Error;

@@ -128,6 +128,7 @@ impl Points {
         let settings = Arc::new(config.loop_settings(name));
         let (stretches, counts) = align_all(samples, &settings.align);
         let mut notes = repeated_timestamps(samples);
+        notes.extend(super::repeated_values(samples));
         if counts.late + counts.stamp_outliers > 0 {
             let (late, outliers) = (counts.late, counts.stamp_outliers);
             notes.push(format!(

@@ -5,6 +5,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::signal::held::held_over;
+
 /// The signal of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -151,6 +153,8 @@ pub struct Record {
     pub ts_s: f64,
     /// Mean time between recorded samples, s: equals `ts_s`, unless bins have a fractional number of samples.
     pub recorded_ts_s: f64,
+    /// Raw samples over which each PV is held; 1 where none is, or where a point is a bin.
+    pub held: usize,
     /// Raw samples in the record.
     pub raw_samples: usize,
     /// Raw samples per point (a power of two in the daemon).
@@ -182,6 +186,7 @@ impl Record {
             end_ns: crate::core::units::ns_from_s(ts_s * n.saturating_sub(1) as f64),
             ts_s,
             recorded_ts_s: ts_s,
+            held: held_over(&pv),
             raw_samples: n,
             box_samples: 1,
             facts: Facts { pv_repeats: repeats(&pv), op_repeats: repeats(&op), ..Facts::default() },

@@ -4,6 +4,7 @@ pub mod align;
 #[cfg(test)]
 mod align_check;
 pub mod detrend;
+pub mod held;
 pub mod history;
 pub mod lag;
 mod op_trail;

@@ -37,6 +37,7 @@ pub fn boxed(record: &Record, ratio: f64) -> Option<Record> {
         end_ns: record.end_ns,
         ts_s: record.ts_s * ratio / box_samples,
         recorded_ts_s: record.recorded_ts_s,
+        held: record.held,
         raw_samples: used,
         box_samples: box_samples as usize,
         op_path: (0..points * steps).map(|k| record.op_path[place(k, 0.0)]).collect(),

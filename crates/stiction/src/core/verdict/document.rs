@@ -322,7 +322,7 @@ pub struct Oscillation {
     pub period_s: Option<f64>,
     /// Periods in the window.
     pub periods: Option<f64>,
-    /// Raw samples per period.
+    /// Raw samples per period; a PV that is held over several counts once.
     pub samples_per_period: Option<f64>,
     /// Thornhill's regularity: a third of mean over standard deviation of the intervals between zero crossings.
     pub regularity: Option<f64>,

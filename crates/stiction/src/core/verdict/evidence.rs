@@ -47,12 +47,13 @@ pub(super) fn describe(found: Option<&Oscillates>, record: &Record) -> Oscillati
     }
 }
 
-/// Samples, as they were recorded, in a point.
+/// Samples, as they were recorded, in a point; a value that is held over several is one.
 fn recorded_per_point(record: &Record) -> f64 {
+    let held = record.held.max(1) as f64;
     if record.recorded_ts_s == record.ts_s {
-        record.box_samples as f64
+        record.box_samples as f64 / held
     } else {
-        record.point_s() / record.recorded_ts_s
+        record.point_s() / record.recorded_ts_s / held
     }
 }
 

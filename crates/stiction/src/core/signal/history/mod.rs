@@ -14,6 +14,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::align::Point;
+use super::held::held_over;
 use crate::core::record::{Facts, Record};
 use crate::core::units::s_from_ns;
 use columns::{Sparse, Times, bytes, put};
@@ -504,12 +505,14 @@ impl View<'_> {
             facts.pv_repeats += pv_repeats;
             facts.op_repeats += op_repeats;
         }
+        let pv: Vec<f64> = bins.iter().map(|b| b.pv_sum / size).collect();
         let ts_s = s_from_ns(newest - first.t_ns) / (raw_samples.max(2) - 1) as f64;
         Some(Record {
             start_ns: first.t_ns,
             end_ns,
             ts_s,
             recorded_ts_s: ts_s,
+            held: if level == 0 { held_over(&pv) } else { 1 },
             raw_samples,
             box_samples: 1 << level,
             op_path: if level == 0 {
@@ -517,7 +520,7 @@ impl View<'_> {
             } else {
                 bins.iter().flat_map(Bin::op_path).collect()
             },
-            pv: bins.iter().map(|b| b.pv_sum / size).collect(),
+            pv,
             sp: mean(|b| b.sp_sum),
             mv: mean(|b| b.mv_sum),
             irregularity: irregularity(&bins),
