@@ -212,17 +212,11 @@ fn is_op_pv(path: &Path) -> bool {
 
 fn stored(args: &NewArgs, path: &Path, one: &LoadedLoop, ts_s: Option<f64>) -> anyhow::Result<CompactLoop> {
     let fault = |fault: String| anyhow!("{}: {}: {fault}", path.display(), one.name);
-    let known_s = ts_s.or_else(|| one.about.as_ref().map(|about| about.ts_s));
     let kept = match args.resample {
-        Some(step_s) => CompactLoop::from_samples(&one.name, &even(one, step_s).map_err(fault)?.samples, Some(step_s)),
-        None => CompactLoop::from_samples(&one.name, &one.samples, known_s)
-            .map_err(|fault| format!("{fault}; use --resample SECONDS")),
+        Some(step_s) => CompactLoop::of(&even(one, step_s).map_err(fault)?, Some(step_s)),
+        None => CompactLoop::of(one, ts_s).map_err(|fault| format!("{fault}; use --resample SECONDS")),
     };
-    let mut kept = kept.map_err(fault)?;
-    if let Some(about) = &one.about {
-        (kept.tags, kept.comment) = (about.tags.clone(), about.comment.clone());
-    }
-    Ok(kept)
+    kept.map_err(fault)
 }
 
 /// A table of OP and PV only.
@@ -254,7 +248,7 @@ fn columns(path: &Path, name: &str, ts_s: f64) -> anyhow::Result<CompactLoop> {
         bail!("{}: has no data rows", path.display());
     }
     let tags = default_tags(name);
-    Ok(CompactLoop { name: name.to_owned(), tags, ts_s, start_ns: Some(0), comment: String::new(), rows })
+    Ok(CompactLoop { name: name.to_owned(), tags, ts_s, start_ns: Some(0), rows, ..CompactLoop::default() })
 }
 
 /// The answer to the question for OP.
@@ -322,7 +316,7 @@ fn one_loop(answers: &mut impl BufRead, ask: &mut impl Write, args: &NewArgs, k:
             text.parse::<f64>().map_err(|_| "write seconds, such as 3".to_owned()).and_then(check_sampling_time)
         })?,
     };
-    Ok(CompactLoop { tags: default_tags(&name), name, ts_s, start_ns: Some(0), comment: String::new(), rows })
+    Ok(CompactLoop { tags: default_tags(&name), name, ts_s, start_ns: Some(0), rows, ..CompactLoop::default() })
 }
 
 /// The loop of a file given instead of numbers (`FILE`, or `FILE LOOP` if it has several); `None` if there is no such

@@ -13,7 +13,6 @@ use std::collections::btree_map::Entry;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use stiction::core::record::Signal;
 use stiction::core::signal::align::Quality;
 use stiction::core::units::file_stem_of;
 use stiction_files::compact::{self, CompactLoop};
@@ -35,11 +34,11 @@ const NAMES_SHOWN: usize = 20;
   stictiond convert plant.mcap loops/                       one .csv per loop
   stictiond convert plant.mcap FIC101.csv --loop FIC101
   stictiond convert store.mat store.mcap
-  stictiond convert loops.mcap store.mat                    OP and PV only, for the toolbox
+  stictiond convert loops.mcap store.mat                    for the toolbox
   stictiond convert plant.mcap data/ --partition loop,day   Parquet by loop and day
   stictiond convert exports/ june.mcap --tz Europe/Berlin   an historian's files
 
-A compact store holds OP and PV at one sampling time; other signals are dropped with a warning.")]
+A compact store has one sampling time; its toolbox reads OP and PV, this program also what it adds: SP, MV, mode, units.")]
 pub struct ConvertArgs {
     /// Input files (recordings, tables, exports, or folders of them), then the output: .csv, .mcap or .mat, or a folder for
     /// one .csv per loop. A truncated recording is read up to where it ends.
@@ -266,30 +265,13 @@ fn to_mcap(loaded: &Loaded, inputs: &[PathBuf], path: &Path) -> anyhow::Result<W
     Ok(Written { path: path.to_owned(), loops, samples, rows: None })
 }
 
-/// A compact store of all loops; warns about what it cannot hold.
+/// A compact store of all loops.
 fn to_mat(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
     let mut stored = Vec::with_capacity(loaded.loops.len());
     for one in &loaded.loops {
-        let ts_s = one.about.as_ref().map(|about| about.ts_s);
-        let mut kept = CompactLoop::from_samples(&one.name, &one.samples, ts_s).map_err(|fault| {
+        stored.push(CompactLoop::of(one, None).map_err(|fault| {
             anyhow!("{}: {fault}; a compact store needs one sampling time, use --resample SECONDS", one.name)
-        })?;
-        if let Some(about) = &one.about {
-            (kept.tags, kept.comment) = (about.tags.clone(), about.comment.clone());
-        }
-        let lost: Vec<&str> = [Signal::Sp, Signal::Mv, Signal::Mode]
-            .into_iter()
-            .filter(|s| one.count(*s).0 > 0)
-            .map(Signal::name)
-            .collect();
-        if !lost.is_empty() {
-            crate::cli::warn(format_args!(
-                "{}: a compact store holds OP and PV only; dropped {}",
-                one.name,
-                lost.join(", ")
-            ));
-        }
-        stored.push(kept);
+        })?);
     }
     write_store(&stored, path, true)?;
     let loops = loaded.loops.iter().map(|one| one.name.clone()).collect();

@@ -2,12 +2,17 @@
 //! loop (`dbl_Compact_Data` N x 2: OP, PV; `dbl_SamplingTime`; `cell_char_TagList` 2 x 1; `cell_char_TimeStamp` N x 1;
 //! `cell_Comment`, which the toolbox's manual also calls `char_Comment`).
 //!
+//! This program adds what it knows beyond that, in fields that the toolbox does not read: `cell_char_Units` 2 x 1, and the set
+//! point, valve position and mode as `dbl_SP_Data`, `dbl_MV_Data`, `dbl_Mode_Data` N x 1: NaN where there is no sample, Inf
+//! where one has no value; modes are 1 automatic, 2 manual, 3 cascade, 4 unknown.
+//!
 //! The sampling time decides: sample k is at the first timestamp plus k sampling times, whatever the other timestamps say.
 
+use super::LoadedLoop;
 use super::mat::{self, Mat, MatError};
 use std::io::Write;
 use std::path::Path;
-use stiction::core::record::{Sample, Signal, Value};
+use stiction::core::record::{Mode, Sample, Signal, Value};
 use stiction::core::units::{NS_PER_S, format_rfc3339, parse_time, s_from_ns};
 use thiserror::Error;
 
@@ -19,6 +24,12 @@ const DATA: &str = "dbl_Compact_Data";
 const SAMPLING: &str = "dbl_SamplingTime";
 const TAGS: &str = "cell_char_TagList";
 const STAMPS: &str = "cell_char_TimeStamp";
+const UNITS: &str = "cell_char_Units";
+/// Signals beside OP and PV.
+const OTHERS: [(Signal, &str); 3] =
+    [(Signal::Sp, "dbl_SP_Data"), (Signal::Mv, "dbl_MV_Data"), (Signal::Mode, "dbl_Mode_Data")];
+/// Modes by their number, from 1.
+const MODES: [Mode; 4] = [Mode::Auto, Mode::Manual, Mode::Cascade, Mode::Unknown];
 const COMMENTS: [&str; 2] = ["cell_Comment", "char_Comment"];
 /// Shortest and longest valid sampling time, s: a microsecond, a hundred days.
 const SAMPLING_TIMES_S: [f64; 2] = [1e-6, 8.64e6];
@@ -40,7 +51,7 @@ pub enum CompactError {
 }
 
 /// One loop of a store.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct CompactLoop {
     /// `loop1`, `loop2` and so on.
     pub name: String,
@@ -54,6 +65,10 @@ pub struct CompactLoop {
     pub comment: String,
     /// Controller output and process variable; NaN if missing.
     pub rows: Vec<[f64; 2]>,
+    /// Set point, valve position and mode: a value per row, NaN if there is no sample, infinite if it has no value.
+    pub others: Vec<(Signal, Vec<f64>)>,
+    /// Units of OP and PV.
+    pub units: [Option<String>; 2],
 }
 
 /// A store and the warnings on it.
@@ -80,13 +95,34 @@ impl CompactLoop {
     pub fn samples(&self) -> Vec<Sample> {
         let row = |(k, row): (usize, &[f64; 2])| {
             let t_ns = self.stamp_ns(k);
-            let of = |signal, v| Sample { signal, t_ns, value: Value::number(v), quality: None };
-            [of(Signal::Op, row[0]), of(Signal::Pv, row[1])]
+            let of = move |signal, value| Sample { signal, t_ns, value, quality: None };
+            let others = self.others.iter().filter_map(move |(signal, values)| {
+                let v = values.get(k).copied().filter(|v| !v.is_nan())?;
+                let mode = || MODES.get((v as usize).wrapping_sub(1)).copied().unwrap_or(Mode::Unknown);
+                let is_mode = *signal == Signal::Mode && v.is_finite();
+                Some(of(*signal, if is_mode { Value::Mode(mode()) } else { Value::number(v) }))
+            });
+            let pair = [(Signal::Op, row[0]), (Signal::Pv, row[1])];
+            pair.map(|(signal, v)| of(signal, Value::number(v))).into_iter().chain(others)
         };
         self.rows.iter().enumerate().flat_map(row).collect()
     }
 
-    /// A loop from samples at a constant rate: OP and PV side by side, NaN if missing.
+    /// A loop of any source at a constant rate: its own, or one that is given, s.
+    ///
+    /// # Errors
+    /// As [`CompactLoop::from_samples`].
+    pub fn of(one: &LoadedLoop, ts_s: Option<f64>) -> Result<Self, String> {
+        let about = one.about.as_ref();
+        let mut kept = Self::from_samples(&one.name, &one.samples, ts_s.or(about.map(|about| about.ts_s)))?;
+        if let Some(about) = about {
+            (kept.tags, kept.comment) = (about.tags.clone(), about.comment.clone());
+        }
+        kept.units.clone_from(&one.units);
+        Ok(kept)
+    }
+
+    /// A loop from samples at a constant rate: OP and PV side by side, NaN if missing; other signals in the nearest row.
     ///
     /// # Errors
     /// A sentence: the samples have no constant rate, or there are too few.
@@ -110,16 +146,33 @@ impl CompactLoop {
             ));
         }
         let mut rows = vec![[f64::NAN; 2]; count];
+        let mut others: Vec<(Signal, Vec<f64>)> = Vec::new();
         let mut off = 0;
         for sample in samples {
+            let place = sample.t_ns.saturating_sub(start_ns) as f64 / ts_ns;
+            let at = place.round() as usize;
             let column = match sample.signal {
                 Signal::Op => 0,
                 Signal::Pv => 1,
-                _ => continue,
+                signal => {
+                    let known = others.iter().position(|(other, _)| *other == signal);
+                    let known = known.unwrap_or_else(|| {
+                        others.push((signal, vec![f64::NAN; count]));
+                        others.len() - 1
+                    });
+                    let last = count - 1;
+                    others[known].1[at.min(last)] = match sample.value {
+                        Value::Number(number) => number,
+                        Value::Mode(mode) => {
+                            MODES.iter().position(|m| *m == mode).map_or(f64::INFINITY, |k| k as f64 + 1.0)
+                        }
+                        Value::Missing => f64::INFINITY,
+                    };
+                    continue;
+                }
             };
-            let place = sample.t_ns.saturating_sub(start_ns) as f64 / ts_ns;
             off += usize::from((place - place.round()).abs() > 0.1);
-            if let (Some(slot), Some(value)) = (rows.get_mut(place.round() as usize), sample.value.as_number()) {
+            if let (Some(slot), Some(value)) = (rows.get_mut(at), sample.value.as_number()) {
                 slot[column] = value;
             }
         }
@@ -127,7 +180,7 @@ impl CompactLoop {
             return Err(format!("{off} of {} samples are off the constant rate of one every {ts_s} s", samples.len()));
         }
         let tags = default_tags(name);
-        Ok(Self { name: name.to_owned(), tags, ts_s, start_ns: Some(start_ns), comment: String::new(), rows })
+        Ok(Self { name: name.to_owned(), tags, ts_s, start_ns: Some(start_ns), rows, others, ..Self::default() })
     }
 }
 
@@ -251,7 +304,14 @@ fn one_loop(name: &str, value: &Mat, warnings: &mut Vec<String>) -> Result<Compa
         }
     }
     let comment = COMMENTS.iter().find_map(|field| value.field(field)).map(lines).unwrap_or_default().join("\n");
-    Ok(CompactLoop { name: name.to_owned(), tags, ts_s, start_ns, comment, rows })
+    let other = |(signal, field): (Signal, &str)| match value.field(field) {
+        Some(Mat::Numbers { values, .. }) if values.len() == rows.len() => Some((signal, values.clone())),
+        _ => None,
+    };
+    let others = OTHERS.into_iter().filter_map(other).collect();
+    let mut units = value.field(UNITS).map(lines).unwrap_or_default().into_iter().map(|unit| unit.trim().to_owned());
+    let units = [(); 2].map(|()| units.next().filter(|unit| !unit.is_empty()));
+    Ok(CompactLoop { name: name.to_owned(), tags, ts_s, start_ns, comment, rows, others, units })
 }
 
 /// OP and PV side by side.
@@ -322,13 +382,21 @@ fn of_loop(one: &CompactLoop) -> Mat {
     let stamps = (0..one.rows.len()).map(|k| Mat::text(format_rfc3339(one.stamp_ns(k)))).collect();
     let comment = one.comment.lines().map(Mat::text).collect::<Vec<_>>();
     let comment = if comment.is_empty() { vec![Mat::text("")] } else { comment };
-    let fields = [
+    let mut fields = vec![
         (DATA, Mat::Numbers { dims: vec![one.rows.len(), 2], values }),
         (SAMPLING, Mat::number(one.ts_s)),
         (TAGS, Mat::column(one.tags.iter().map(Mat::text).collect())),
         (STAMPS, Mat::column(stamps)),
         (COMMENTS[0], Mat::column(comment)),
     ];
+    for (signal, values) in &one.others {
+        let field = OTHERS.iter().find(|(of, _)| of == signal).map(|(_, field)| *field);
+        fields.extend(field.map(|f| (f, Mat::Numbers { dims: vec![values.len(), 1], values: values.clone() })));
+    }
+    if one.units != [None, None] {
+        let unit = |unit: &Option<String>| Mat::text(unit.clone().unwrap_or_default());
+        fields.push((UNITS, Mat::column(one.units.iter().map(unit).collect())));
+    }
     Mat::Struct(fields.into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
 }
 
@@ -356,6 +424,7 @@ mod tests {
             start_ns: Some(1_000_000_000),
             comment: "first line\nzweite Zeile: Öl".to_owned(),
             rows: rows_of(op, pv).unwrap(),
+            ..CompactLoop::default()
         };
         vec![of("loop1", &[1.0, 3.0, 5.0], &[2.0, 4.0, 6.0]), of("loop2", &[3.0, 7.0, f64::NAN], &[2.0, 6.0, 8.0])]
     }

@@ -337,7 +337,7 @@ fn load_store(path: &Path) -> Result<Loaded, FileError> {
     let loops = store.loops.into_iter().map(|one| {
         let samples = one.samples();
         let about = Some(About { tags: one.tags, ts_s: one.ts_s, comment: one.comment });
-        LoadedLoop { about, ..LoadedLoop::new(one.name, samples) }
+        LoadedLoop { about, units: one.units, ..LoadedLoop::new(one.name, samples) }
     });
     Ok(Loaded {
         kind: InputKind::Mat,

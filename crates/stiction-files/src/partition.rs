@@ -9,6 +9,9 @@ use super::{FileError, Loaded, LoadedLoop, ReadOptions};
 const LOOP: &str = "loop=";
 /// Start of a day's folder name.
 const DAY: &str = "day=";
+/// Metadata of a column that this program wrote: its unit, or nothing.
+#[cfg(feature = "parquet")]
+pub(crate) const METADATA_UNIT: &str = "stictiond.unit";
 /// Name of every file.
 #[cfg(feature = "parquet")]
 const FILE: &str = "part-0.parquet";
@@ -60,10 +63,11 @@ pub(super) fn load(name: &str, paths: &[PathBuf], options: &ReadOptions) -> Resu
     let mut all: Option<Loaded> = None;
     for path in paths {
         let mut day = super::load(path, options)?;
+        let units = day.loops.first().map(|one| one.units.clone()).unwrap_or_default();
         let samples = day.loops.iter_mut().flat_map(|one| std::mem::take(&mut one.samples)).collect();
         match &mut all {
             None => {
-                day.loops = vec![LoadedLoop::new(name, samples)];
+                day.loops = vec![LoadedLoop { units, ..LoadedLoop::new(name, samples) }];
                 all = Some(day);
             }
             Some(all) => {
@@ -83,19 +87,20 @@ pub use write::{Part, PartitionError, write};
 mod write {
     //! Writing, in builds with Parquet.
 
-    use std::collections::BTreeMap;
+    use std::collections::{BTreeMap, HashMap};
     use std::fs::{self, File};
     use std::io;
     use std::path::{Path, PathBuf};
     use std::sync::Arc;
 
-    use arrow_array::{ArrayRef, Float64Array, RecordBatch, StringArray, TimestampNanosecondArray};
+    use arrow_array::{Array as _, ArrayRef, Float64Array, RecordBatch, StringArray, TimestampNanosecondArray};
+    use arrow_schema::{Field, Schema};
     use parquet::arrow::ArrowWriter;
     use parquet::basic::{Compression, ZstdLevel};
     use parquet::file::properties::WriterProperties;
     use thiserror::Error;
 
-    use super::{DAY, FILE, LOOP, encoded};
+    use super::{DAY, FILE, LOOP, METADATA_UNIT, encoded};
     use crate::csv::{COLUMNS, Row, rows_of};
     use crate::{LoadedLoop, sync_folder};
     use stiction::core::record::{Signal, Value};
@@ -121,7 +126,7 @@ mod write {
     }
 
     /// Writes the days of a loop below a folder, each file completely or not at all. Rows are in time order; a row has the
-    /// samples of one timestamp. Qualities are not kept.
+    /// samples of one timestamp: null where there is none, NaN where it has no value. The unit of a column is in its metadata.
     ///
     /// # Errors
     /// [`PartitionError`]: a file exists and `force` is not set, or a disk error.
@@ -146,7 +151,7 @@ mod write {
             let failed = |what: String| PartitionError { path: path.clone(), what };
             fs::create_dir_all(&place).map_err(|error| failed(error.to_string()))?;
             let passing = place.join(format!(".{FILE}.{}", std::process::id()));
-            let written = table(rows, &shown).and_then(|batch| put(&batch, &passing));
+            let written = table(rows, &shown, &one.units).and_then(|batch| put(&batch, &passing));
             let named = written.and_then(|()| fs::rename(&passing, &path));
             if let Err(error) = named {
                 // Half a file helps nobody.
@@ -159,7 +164,7 @@ mod write {
         Ok(parts)
     }
 
-    fn table(rows: &[Row], shown: &[usize]) -> io::Result<RecordBatch> {
+    fn table(rows: &[Row], shown: &[usize], units: &[Option<String>; 2]) -> io::Result<RecordBatch> {
         let t: TimestampNanosecondArray = rows.iter().map(|row| Some(row.t_ns)).collect();
         let mut columns = vec![("t", Arc::new(t.with_timezone("UTC")) as ArrayRef)];
         for at in shown {
@@ -167,19 +172,27 @@ mod write {
             let column: ArrayRef = if COLUMNS[*at] == Signal::Mode {
                 Arc::new(cells.map(word).collect::<StringArray>())
             } else {
-                Arc::new(cells.map(|cell| cell.and_then(Value::as_number)).collect::<Float64Array>())
+                Arc::new(cells.map(|cell| Some(cell?.as_number().unwrap_or(f64::NAN))).collect::<Float64Array>())
             };
             columns.push((COLUMNS[*at].name(), column));
         }
-        RecordBatch::try_from_iter_with_nullable(columns.into_iter().map(|(name, column)| (name, column, name != "t")))
-            .map_err(io::Error::other)
+        let field = |(name, column): &(&str, ArrayRef)| {
+            let field = Field::new(*name, column.data_type().clone(), *name != "t");
+            let at = COLUMNS.iter().position(|signal| signal.name() == *name);
+            let unit = at.and_then(|at| units.get(at)?.clone()).unwrap_or_default();
+            // Even an empty one says that NaN is a missing value, not a row of another column.
+            field.with_metadata(HashMap::from([(METADATA_UNIT.to_owned(), unit)]))
+        };
+        let schema = Schema::new(columns.iter().map(field).collect::<Vec<_>>());
+        let columns = columns.into_iter().map(|(_, column)| column).collect();
+        RecordBatch::try_new(Arc::new(schema), columns).map_err(io::Error::other)
     }
 
     fn word(cell: Option<Value>) -> Option<String> {
         match cell? {
             Value::Mode(mode) => Some(mode.name().to_owned()),
             Value::Number(number) => Some(number.to_string()),
-            Value::Missing => None,
+            Value::Missing => Some("nan".to_owned()),
         }
     }
 

@@ -64,10 +64,12 @@ fn fill(mut file: RecordingFile, prefix: &str, loops: &[LoadedLoop]) -> Result<u
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::compact::{self, CompactLoop};
     use crate::{csv, load_samples};
     use proptest::prelude::*;
-    use stiction::core::record::{Mode, Sample, Signal, Value};
+    use stiction::core::record::{Mode, Record, Sample, Signal, Value};
     use stiction::core::signal::align::Quality;
+    use stiction_engine::analysis::Points;
 
     #[test]
     fn a_recording_in_memory_is_the_one_that_a_file_would_be() {
@@ -108,24 +110,71 @@ mod tests {
         seen
     }
 
+    /// What is judged: the records behind the documents.
+    fn judged(one: &LoadedLoop) -> Option<Vec<Record>> {
+        let config = stiction_engine::config::Config::with_prefix("p");
+        let (found, _) = Points::of("FIC101", &one.judged(Quality::Ua).samples, &config).judgeable().ok()?;
+        Some([vec![found.record], found.windows].concat())
+    }
+
+    #[derive(Debug, Clone, Copy)]
+    enum Format {
+        Table,
+        Recording,
+        Store,
+        #[cfg(feature = "parquet")]
+        Parquet,
+    }
+
+    impl Format {
+        #[cfg(feature = "parquet")]
+        const ALL: [Self; 4] = [Self::Table, Self::Recording, Self::Store, Self::Parquet];
+        #[cfg(not(feature = "parquet"))]
+        const ALL: [Self; 3] = [Self::Table, Self::Recording, Self::Store];
+
+        /// The loop as a file of this format gives it back; values of bad quality go as `convert` writes them.
+        fn carry(self, one: &LoadedLoop) -> LoadedLoop {
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("FIC101");
+            let one = &one.judged(Quality::Ua);
+            match self {
+                Self::Table => csv::write(one, &mut std::fs::File::create(&path).unwrap()).map(drop).unwrap(),
+                Self::Recording => {
+                    let bytes = loops_as_recording("p", ["t", "x"], std::slice::from_ref(one)).unwrap();
+                    std::fs::write(&path, bytes).unwrap();
+                }
+                Self::Store => {
+                    let store = [CompactLoop::of(one, None).unwrap()];
+                    compact::write(&mut std::fs::File::create(&path).unwrap(), &store, true).unwrap();
+                }
+                #[cfg(feature = "parquet")]
+                Self::Parquet => {
+                    crate::partition::write(one, dir.path(), false).unwrap();
+                    let units = crate::inputs::units(&[dir.path().to_owned()], &crate::ReadOptions::default()).unwrap();
+                    return units[0]
+                        .load(&crate::ReadOptions::default())
+                        .unwrap_or_else(|e| panic!("{e}"))
+                        .loops
+                        .remove(0);
+                }
+            }
+            load_samples(&path).unwrap_or_else(|e| panic!("{e}")).loops.remove(0)
+        }
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
-        fn tables_and_recordings_carry_the_same_there_and_back(one in loops()) {
-            let dir = tempfile::tempdir().unwrap();
-            let table = |one: &LoadedLoop| {
-                let path = dir.path().join("FIC101.csv");
-                csv::write(one, &mut std::fs::File::create(&path).unwrap()).unwrap();
-                load_samples(&path).unwrap_or_else(|e| panic!("{e}")).loops.remove(0)
-            };
-            let recording = |one: &LoadedLoop| {
-                let path = dir.path().join("a.mcap");
-                std::fs::write(&path, loops_as_recording("p", ["t", "x"], std::slice::from_ref(one)).unwrap()).unwrap();
-                load_samples(&path).unwrap_or_else(|e| panic!("{e}")).loops.remove(0)
-            };
-            for back in [table(&one), recording(&one), recording(&table(&one)), table(&recording(&one))] {
-                prop_assert_eq!(seen(&back), seen(&one));
-                prop_assert_eq!(&back.units, &one.units);
+        fn every_pair_of_formats_carries_the_same_there_and_back(one in loops()) {
+            let formats = Format::ALL;
+            for (first, second) in formats.iter().flat_map(|a| formats.iter().map(move |b| (a, b))) {
+                let there = first.carry(&one);
+                let back = second.carry(&there);
+                for (found, by) in [(&there, format!("{first:?}")), (&back, format!("{first:?} and {second:?}"))] {
+                    prop_assert_eq!(seen(found), seen(&one), "{}", by);
+                    prop_assert_eq!(&found.units, &one.units, "{}", by);
+                    prop_assert_eq!(judged(found), judged(&one), "{}", by);
+                }
             }
         }
     }

@@ -6,13 +6,14 @@ use std::sync::Arc;
 use arrow_array::cast::AsArray as _;
 use arrow_array::types::{Float64Type, Int64Type, TimestampNanosecondType};
 use arrow_array::{Array, ArrayRef, RecordBatch, RecordBatchReader};
-use arrow_schema::{ArrowError, DataType, SchemaRef, TimeUnit};
+use arrow_schema::{ArrowError, DataType, Field, SchemaRef, TimeUnit};
 use bytes::Bytes;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 use super::cell::{Cell, Rows, Table, Take};
 use super::{ExportError, guarded};
 use crate::InputKind;
+use crate::partition::METADATA_UNIT;
 
 /// Rows per batch.
 const BATCH: usize = 8192;
@@ -30,9 +31,11 @@ type Batches = Box<dyn Iterator<Item = Result<RecordBatch, ArrowError>>>;
 pub(super) fn table(kind: InputKind, bytes: &[u8]) -> Result<Table<'static>, ExportError> {
     let rows = Columns { kind, bytes: bytes.to_vec().into() };
     let (schema, _) = guarded(|| rows.open())?;
+    let unit = |field: &Arc<Field>| field.metadata().get(METADATA_UNIT).cloned();
+    let units = schema.fields().iter().map(|field| unit(field).unwrap_or_default()).collect();
     let names = schema.fields().iter().map(|f| f.name().clone()).collect();
     let words = vec![if kind == InputKind::Parquet { "Parquet".to_owned() } else { "Arrow IPC".to_owned() }];
-    Ok(Table { names, line: 0, rows: Box::new(rows), units: Vec::new(), words, decimal: None, warnings: Vec::new() })
+    Ok(Table { names, line: 0, rows: Box::new(rows), units, words, decimal: None, warnings: Vec::new() })
 }
 
 struct Columns {
@@ -59,14 +62,15 @@ impl Columns {
 
 impl Rows for Columns {
     fn each(&self, take: &mut Take<'_>) -> Result<(), ExportError> {
-        let (_, mut batches) = guarded(|| self.open())?;
+        let (schema, mut batches) = guarded(|| self.open())?;
+        let own = schema.fields().iter().any(|field| field.metadata().contains_key(METADATA_UNIT));
         let mut row = 0;
         while let Some(batch) = guarded(|| batches.next().transpose().map_err(fault))? {
             let columns: Vec<Column> =
                 guarded(|| batch.columns().iter().map(Column::of).collect::<Result<_, ExportError>>())?;
             for at in 0..batch.num_rows() {
                 row += 1;
-                let cells: Vec<Cell<'_>> = columns.iter().map(|c| c.cell(at)).collect();
+                let cells: Vec<Cell<'_>> = columns.iter().map(|c| c.cell(at, own)).collect();
                 if !take(row, &cells)? {
                     return Ok(());
                 }
@@ -118,7 +122,8 @@ impl Column {
         })
     }
 
-    fn cell(&self, at: usize) -> Cell<'_> {
+    /// `own`: written by this program, whose NaN is a missing value; elsewhere it may be the row of another column.
+    fn cell(&self, at: usize, own: bool) -> Cell<'_> {
         let (Self::Text(array)
         | Self::Number(array)
         | Self::Integer(array)
@@ -137,7 +142,11 @@ impl Column {
             },
             Self::Number(array) => {
                 let value = array.as_primitive::<Float64Type>().value(at);
-                if value.is_finite() { Cell::Number(value) } else { Cell::Empty }
+                match (value.is_finite(), own) {
+                    (true, _) => Cell::Number(value),
+                    (false, true) => Cell::Text("nan"),
+                    (false, false) => Cell::Empty,
+                }
             }
             Self::Integer(array) => Cell::Integer(array.as_primitive::<Int64Type>().value(at)),
             Self::Local(array) => Cell::Local(array.as_primitive::<TimestampNanosecondType>().value(at)),
