@@ -4,6 +4,7 @@ mod alarm_log;
 pub mod archive;
 pub mod columns;
 pub mod compact;
+mod conventions;
 pub mod csv;
 pub mod disk;
 pub mod even;

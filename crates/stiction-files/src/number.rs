@@ -2,6 +2,8 @@
 
 use clap::ValueEnum;
 
+use crate::conventions::{MISSING, SENTINELS, SIGNS, STARTS, UNITS, is_one_of};
+
 /// Decimal separator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Decimal {
@@ -22,26 +24,6 @@ pub(super) enum Hint {
     Either(Decimal),
 }
 
-/// Starts, in lower case, of texts that systems write in place of a value: PI's digital states, Aspen, Honeywell, Seeq, Excel,
-/// and data tools.
-const MISSING: &str = "access denied|arc off-line|archive off|bad|blank data|calc crash|calc failed|calc off|calc overflow|calc timeout|\
-    coercion failed|comm error|comm fail|configure|data loss|dcs failed|device failure|digital state|doubtful|\
-    equip fail|error|failed|fault|filter fail|i/o timeout|inp outrange|inf|-inf|infinity|-infinity|intf shut|\
-    intf shutdown|invalid|io timeout|last known|missing|n/a|#n/a|na|nan|nil|no alarm|no data|no good data|no lab data|\
-    no result|no sample|no value|nodata|none|not available|not configured|not connect|not converted|not installed|\
-    null|<null>|off-line|offline|out of range|out of serv|over range|overflow|point created|pt created|questionable|\
-    scan off|scan timeout|sensor failure|shutdown|snapfix|stale|substituted|trace off|uncertain|under range|underflow|\
-    undefined|unit down|unknown|void|wrong type";
-/// What stands for nothing only by itself or at the start of any text.
-const SIGNS: &str = "-|--|---|?|\\n";
-const STARTS: &str = "1.#|-1.#|bad|[-|#n/|#value|#div|#ref|#num";
-
-/// Numbers that loggers and archives write in place of a value.
-const SENTINELS: [f64; 21] = [
-    -9999.0, -999.0, -999.25, -9999.25, -999.99, -99.99, -99999.0, -999_999.0, 999.0, 999.99, 9999.0, 99_999.0,
-    999_999.0, -32768.0, 32767.0, 65535.0, -1e30, 1e30, 1e31, 3.4e38, -3.4e38,
-];
-
 /// A number that loggers write for a missing value, in a column whose other values are far from it.
 pub(super) fn sentinel(values: impl Iterator<Item = f64> + Clone) -> Option<f64> {
     let is = |v: f64| v.abs() == f64::MAX || SENTINELS.iter().any(|s| (v - s).abs() <= 1e-6 * s.abs());
@@ -50,11 +32,6 @@ pub(super) fn sentinel(values: impl Iterator<Item = f64> + Clone) -> Option<f64>
         values.filter(|v| !is(*v)).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
     let span = high - low;
     (low <= high && (found > high + span || found < low - span)).then_some(found)
-}
-
-/// Whether a word is in a list separated by bars.
-pub(super) fn is_one_of(word: &str, list: &str) -> bool {
-    list.split('|').any(|known| known == word)
 }
 
 /// Whether a text is one that systems write in place of a value.
@@ -67,11 +44,6 @@ pub(super) fn is_missing_word(text: &str) -> bool {
         || MISSING.split('|').any(|word| lower == word || longer(word))
         || STARTS.split('|').any(|word| lower.starts_with(word))
 }
-
-/// Units that stand behind numbers in cells, in lower case.
-const UNITS: &str = "%|°c|degc|deg c|°f|degf|deg f|bar|barg|bara|mbar|pa|hpa|kpa|mpa|psi|psig|psia|mmhg|inh2o|kg|kg/s|kg/h|kg/hr|t/h|\
-    t/hr|lb/h|lb/hr|m3/h|m³/h|m3/hr|nm3/h|nm³/h|m3/s|m³/s|l/s|l/min|l/h|gpm|gal/min|bbl/d|mm|cm|in|ft|ma|mv|hz|rpm|kw|\
-    mw|ph|ppm|µs/cm";
 
 /// A number, and the unit behind it; Excel's `="1.5"` and `'1.5` are numbers.
 pub(super) fn with_unit(text: &str) -> (&str, Option<&str>) {

@@ -463,6 +463,31 @@ fn others() -> Vec<Shape> {
             Must::Read("41FIC101 with 4 missing"),
         ),
         text(
+            "flags that are set where a value is bad, as of PI",
+            "x.csv",
+            marked(&["Good", "Questionable", "Substituted"])
+                .replace(",Bad,Bad,Bad", ",True,True,False")
+                .replace(",Good,Good,Good\n", ",True,False,False\n"),
+            &[],
+            Must::Read("41FIC101 with 4 missing"),
+        ),
+        text(
+            "a flag of the value before it",
+            "x.csv",
+            marked(&["41FIC101.PV Questionable", "41FIC101.OP Questionable"])
+                .replace(",Bad", ",1")
+                .replace(",Good", ",0"),
+            &[],
+            Must::Read("41FIC101 with 4 missing"),
+        ),
+        text(
+            "a flag that is none",
+            "x.csv",
+            marked(&["Questionable"]),
+            &[],
+            Ask("not true or false", &["--quality", "ignore"], "41FIC101"),
+        ),
+        text(
             "a number that loggers write for a missing value",
             "x.csv",
             sentinels,

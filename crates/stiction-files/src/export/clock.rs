@@ -4,9 +4,9 @@ use jiff::civil::DateTime;
 use jiff::tz::Offset;
 
 use super::ExportError;
-use super::names::unit_of_time;
 use super::stamp::{Civil, HOUR_NS, Number, Order, Stamp};
 use super::zone::{Letters, Reading, Zone, in_words};
+use crate::conventions::{BY_SIZE, DATENUM_1970, EXCEL_1904_1970, EXCEL_1970, NET_1970, NUMBERS, unit_of_time};
 use stiction::core::units::{NS_PER_S, format_rfc3339, s_from_ns};
 
 /// Earliest year accepted without an option.
@@ -15,10 +15,6 @@ const FIRST_YEAR: i64 = 1990;
 const FIRST_S: i64 = 631_152_000;
 /// Seconds in a day.
 const DAY_S: i64 = 86_400;
-/// Day numbers of 1970-01-01: Excel since 1900 and since 1904, MATLAB.
-const EXCEL_1970: i64 = 25_569;
-const EXCEL_1904_1970: i64 = 24_107;
-const DATENUM_1970: i64 = 719_529;
 /// Resolution of day numbers, which are fractions of a day; finer steps are rounding errors.
 const DAYS_GRAIN_NS: i64 = 1_000_000;
 /// Shortest sampling time accepted without an option, s.
@@ -40,30 +36,6 @@ pub enum TimeFormat {
     /// A strftime pattern.
     Pattern(String),
 }
-
-/// Hundreds of ns from year 1 of .NET, and from 1601, to 1970.
-const NET_1970: i64 = 621_355_968_000_000_000;
-const WINDOWS_1970: i64 = 116_444_736_000_000_000;
-
-/// Numeric time formats by the name that `--time-unit` and `--time-format` take. The size of a number tells the first eight apart,
-/// unless two fit.
-const NUMBERS: [(&str, TimeFormat); 12] = [
-    ("s", TimeFormat::Epoch(NS_PER_S)),
-    ("ms", TimeFormat::Epoch(1_000_000)),
-    ("us", TimeFormat::Epoch(1_000)),
-    ("ns", TimeFormat::Epoch(1)),
-    ("excel", TimeFormat::Days(EXCEL_1970)),
-    ("datenum", TimeFormat::Days(DATENUM_1970)),
-    ("ticks", TimeFormat::Ticks(NET_1970)),
-    ("filetime", TimeFormat::Ticks(WINDOWS_1970)),
-    // Days since 1904 look like days since 1900 four years earlier: never guessed.
-    ("excel1904", TimeFormat::Days(EXCEL_1904_1970)),
-    ("min", TimeFormat::Epoch(60 * NS_PER_S)),
-    ("h", TimeFormat::Epoch(3600 * NS_PER_S)),
-    ("d", TimeFormat::Epoch(DAY_S * NS_PER_S)),
-];
-/// How many of them the size of a number tells apart.
-const BY_SIZE: usize = 8;
 
 impl TimeFormat {
     /// Parses the value of --time-format.

@@ -4,7 +4,7 @@ use super::ExportError;
 use super::cell::{Cell, Table};
 use super::clock::TimeFormat;
 use super::map::{Map, Part, same};
-use super::names::{is_date, is_tag, is_time, is_value, plain, quality_of, role, time_unit};
+use super::names::{doubt_of, is_date, is_tag, is_time, is_value, plain, quality_of, role, time_unit};
 use super::stamp::Stamp;
 use super::zone::{self, Letters, Zone};
 use stiction::core::units::NS_PER_S;
@@ -40,6 +40,8 @@ pub(super) struct ValueColumn {
     pub time: usize,
     /// Its quality codes, if any.
     pub quality: Option<usize>,
+    /// Flags that are set where it is bad.
+    pub doubts: Vec<usize>,
     /// Its unit, if a column has it.
     pub unit: Option<usize>,
     /// The tag.
@@ -52,7 +54,7 @@ pub(super) enum Shape {
     /// One column per tag.
     Wide(Vec<ValueColumn>),
     /// One row per value.
-    Long { tag: usize, value: usize, quality: Option<usize> },
+    Long { tag: usize, value: usize, quality: Option<usize>, doubts: Vec<usize> },
 }
 
 /// Time and value columns of a table.
@@ -267,7 +269,8 @@ impl Finder<'_, '_> {
         let quality = self.mapped(Part::Quality)?.or_else(|| by(|name| quality_of(name).is_some()));
         match (tag, value) {
             (Some(tag), Some(value)) if times.len() == 1 => {
-                Ok(Some(Shape::Long { tag, value, quality: quality.filter(|q| *q != tag && *q != value) }))
+                let doubts = (0..names.len()).filter(|at| self.marks && doubt_of(&names[*at]).is_some()).collect();
+                Ok(Some(Shape::Long { tag, value, quality: quality.filter(|q| *q != tag && *q != value), doubts }))
             }
             _ => Ok(None),
         }
@@ -286,32 +289,44 @@ impl Finder<'_, '_> {
             }
             None => Vec::new(),
         };
-        let [mut marks, mut units]: [Vec<(usize, String)>; 2] = [Vec::new(), Vec::new()];
+        let [mut marks, mut doubts, mut units]: [Vec<(usize, String)>; 3] = Default::default();
         for at in (0..self.columns()).filter(|at| !is_time(*at)) {
             let name = self.table.names.get(at).map_or("", String::as_str);
             let tag = match mapped.iter().find(|(column, _)| *column == at) {
                 Some((_, tag)) => (*tag).to_owned(),
                 None if name.is_empty() => continue,
-                None => match (quality_of(name), plain(name).strip_suffix(" unit")) {
-                    (Some(of), _) => {
+                None => match (quality_of(name), doubt_of(name), plain(name).strip_suffix(" unit")) {
+                    (Some(of), ..) => {
                         marks.push((at, of));
                         continue;
                     }
-                    (None, Some(of)) => {
+                    (None, Some(of), _) => {
+                        doubts.push((at, of));
+                        continue;
+                    }
+                    (None, None, Some(of)) => {
                         units.push((at, of.to_owned()));
                         continue;
                     }
                     _ => name.to_owned(),
                 },
             };
-            values.push(ValueColumn { at, time: time_of(at), quality: None, unit: None, tag });
+            values.push(ValueColumn { at, time: time_of(at), quality: None, doubts: Vec::new(), unit: None, tag });
         }
         for value in &mut values {
             value.unit = units.iter().find(|(_, of)| *of == plain(&value.tag)).map(|(at, _)| *at);
         }
         self.own_times(times, &mapped)?;
         if self.marks {
-            self.judge(&mut values, &marks)?;
+            let all: Vec<usize> = marks.iter().chain(&doubts).map(|(at, _)| *at).collect();
+            let among = |at: usize| all.contains(&at);
+            self.judge(&mut values, &marks, &among, |value, at| value.quality = value.quality.or(Some(at)))?;
+            let word = |at: usize| plain(&self.name(at));
+            while let Some(first) = doubts.first().map(|(at, _)| word(*at)) {
+                let (same, rest): (Vec<_>, Vec<_>) = doubts.into_iter().partition(|(at, _)| word(*at) == first);
+                self.judge(&mut values, &same, &among, |value, at| value.doubts.push(at))?;
+                doubts = rest;
+            }
         }
         if values.is_empty() {
             let text = if self.table.names.is_empty() {
@@ -340,7 +355,13 @@ impl Finder<'_, '_> {
 
     /// Gives each quality column to the values that it judges: by name, or because
     /// it follows its value. A column that judges all values is the first or the last one.
-    fn judge(&self, values: &mut [ValueColumn], marks: &[(usize, String)]) -> Result<(), ExportError> {
+    fn judge(
+        &self,
+        values: &mut [ValueColumn],
+        marks: &[(usize, String)],
+        among: &dyn Fn(usize) -> bool,
+        give: impl Fn(&mut ValueColumn, usize),
+    ) -> Result<(), ExportError> {
         let (unnamed, named): (Vec<_>, Vec<_>) = marks.iter().partition(|(_, of)| of.is_empty());
         let names = &self.table.names;
         for (at, of) in named {
@@ -348,12 +369,12 @@ impl Finder<'_, '_> {
             let signal = |value: &ValueColumn| role(&value.tag).map(|role| role.signal.name().to_owned());
             let mut found = values.iter_mut().filter(|v| own(v) == *of).peekable();
             if found.peek().is_some() {
-                found.for_each(|value| value.quality = Some(*at));
+                found.for_each(|value| give(value, *at));
                 continue;
             }
             let mut found = values.iter_mut().filter(|v| signal(v).as_deref() == Some(of)).peekable();
             if found.peek().is_some() {
-                found.for_each(|value| value.quality = Some(*at));
+                found.for_each(|value| give(value, *at));
             } else if values.iter().any(|v| role(&v.tag).is_some() && own(v).starts_with(of.as_str())) {
                 return Err(self.whose(*at));
             }
@@ -362,12 +383,12 @@ impl Finder<'_, '_> {
         match &unnamed[..] {
             [] => {}
             [(at, _)] if columns.iter().all(|c| c < at) || columns.iter().all(|c| c > at) => {
-                values.iter_mut().filter(|v| v.quality.is_none()).for_each(|value| value.quality = Some(*at));
+                values.iter_mut().for_each(|value| give(value, *at));
             }
             several => {
                 for (at, _) in several {
-                    let before = values.iter_mut().find(|v| v.at + 1 == *at);
-                    before.ok_or_else(|| self.whose(*at))?.quality = Some(*at);
+                    let before = values.iter_mut().rfind(|v| v.at < *at && (v.at + 1..*at).all(among));
+                    give(before.ok_or_else(|| self.whose(*at))?, *at);
                 }
             }
         }

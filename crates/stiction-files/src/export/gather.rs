@@ -7,7 +7,7 @@ use super::clock::{Axis, TimeFormat, TimeOptions, by_pattern};
 use super::columns::{Layout, Shape, TimeColumn, ValueColumn};
 use super::map::Map;
 use super::names::{Role, is_value, role};
-use super::quality::{Codes, Mark, convention};
+use super::quality::{Codes, Mark, convention, doubt};
 use super::stamp::{Number, Stamp};
 use super::{Contents, ExportError, ReadOptions};
 use crate::number::{Decimal, Hint, hint, is_missing_word, number, sentinel, with_unit};
@@ -163,8 +163,8 @@ fn wanted<'l>(columns: &'l [ValueColumn], stem: &str, map: Option<&Map>) -> Vec<
 
 /// Decimal separator: the one given, else the one that the numbers show.
 ///
-/// Where each number has three figures behind its only separator, these are decimals in a comma-separated file, and in a
-/// file without a whole number (a fixed count of decimals); else nothing shows it.
+/// Where each number has three figures behind its only separator, these are decimals in a comma-separated file; else nothing
+/// shows it.
 fn decimal_of(table: &Table<'_>, layout: &Layout, stem: &str, options: &ReadOptions) -> Result<Decimal, ExportError> {
     if let Some(decimal) = options.decimal {
         return Ok(decimal);
@@ -173,7 +173,7 @@ fn decimal_of(table: &Table<'_>, layout: &Layout, stem: &str, options: &ReadOpti
         Shape::Wide(columns) => wanted(columns, stem, options.map.as_ref()).iter().map(|(c, _)| c.at).collect(),
         Shape::Long { value, .. } => vec![*value],
     };
-    let (mut sure, mut either, mut whole) = ([0_u64; 2], [0_u64; 2], false);
+    let (mut sure, mut either) = ([0_u64; 2], [0_u64; 2]);
     let place = |kind: Decimal| usize::from(kind == Decimal::Comma);
     let mut rows = 0;
     table.rows.each(&mut |line, cells| {
@@ -189,7 +189,7 @@ fn decimal_of(table: &Table<'_>, layout: &Layout, stem: &str, options: &ReadOpti
             match hint(text) {
                 Hint::Sure(kind) => first(&mut sure[place(kind)]),
                 Hint::Either(kind) => first(&mut either[place(kind)]),
-                Hint::None => whole |= text.bytes().all(|b| b.is_ascii_digit()),
+                Hint::None => {}
             }
         }
         Ok(rows < ENOUGH_ROWS || (sure == [0, 0] && either != [0, 0]))
@@ -204,7 +204,7 @@ fn decimal_of(table: &Table<'_>, layout: &Layout, stem: &str, options: &ReadOpti
     };
     match (sure, either) {
         ([0, 0], [0, 0]) => Ok(Decimal::Point),
-        ([0, 0], [point, 0]) if whole && table.decimal.is_none() => ask(point, "point"),
+        ([0, 0], [point, 0]) if table.decimal.is_none() => ask(point, "point"),
         ([0, 0], [_, 0]) => Ok(Decimal::Point),
         ([0, 0], [_, comma]) => ask(comma, "comma"),
         ([point, comma], _) if point > 0 && comma > 0 => {
@@ -331,7 +331,7 @@ impl Gatherer<'_> {
                 }
                 match rows[column.time] {
                     Some(row) => {
-                        let mark = column.quality.map(cell_at);
+                        let mark = (column.quality.map(cell_at), doubt(line, &column.doubts, &cell_at)?);
                         self.take(*series, row, line, cell, mark)?;
                     }
                     None if cell == Cell::Empty => {}
@@ -346,7 +346,7 @@ impl Gatherer<'_> {
     }
 
     fn take_long(&mut self, table: &Table<'_>, layout: &Layout) -> Result<(), ExportError> {
-        let Shape::Long { tag, value, quality } = layout.shape else { return Ok(()) };
+        let Shape::Long { tag, value, quality, ref doubts } = layout.shape else { return Ok(()) };
         let quality = quality.filter(|_| self.options.codes != Some(Codes::Ignore));
         if let Some(name) = quality.and_then(|at| table.names.get(at)) {
             self.quality.clone_from(name);
@@ -367,7 +367,8 @@ impl Gatherer<'_> {
                 return Err(ExportError::at(line, "a row without a time", "add the time of every row"));
             };
             let row = self.axes[0].push(stamp, line);
-            self.take(series, row, line, cell(value), quality.map(cell))?;
+            let doubted = doubt(line, doubts, &cell)?;
+            self.take(series, row, line, cell(value), (quality.map(cell), doubted))?;
             Ok(true)
         })
     }
@@ -378,7 +379,7 @@ impl Gatherer<'_> {
         row: u32,
         line: u64,
         cell: Cell<'_>,
-        mark: Option<Cell<'_>>,
+        (mark, doubted): (Option<Cell<'_>>, Option<bool>),
     ) -> Result<(), ExportError> {
         let mark = mark.map(|mark| match mark {
             Cell::Text(text) => Mark::read(text).ok_or_else(|| {
@@ -389,7 +390,10 @@ impl Gatherer<'_> {
             Cell::Number(code) => Ok(Mark::Code(code as i64)),
             _ => Ok(Mark::None),
         });
-        let mark = mark.transpose()?;
+        let mark = match (mark.transpose()?, doubted) {
+            (_, Some(true)) => Some(Mark::Bad),
+            (mark, flags) => mark.or(flags.map(|_| Mark::Good)),
+        };
         // A number with a bad quality must not be used as a value.
         let value = match mark {
             Some(Mark::Bad) => Value::Missing,

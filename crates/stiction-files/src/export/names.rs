@@ -1,35 +1,10 @@
 //! Tag names: the loop and signal of a column or tag.
 
-use crate::number::is_one_of;
+use crate::conventions::{
+    BLOCKS, DATES, DOUBTS, ENDS, HEADS, QUALITIES, SEPARATORS, TAGS, TIMES, VALUES, is_one_of, unit_of_time,
+};
 use stiction::core::record::Signal;
-use stiction::core::units::{NS_PER_S, loop_name_from};
-
-/// Endings of tags by signal, the strongest first. MV is Yokogawa's and Honeywell's word for the controller output; Foxboro's
-/// words are OUT, MEAS and SPT.
-const ENDS: [(Signal, &str); 5] = [
-    (Signal::Op, "OP|OUT|CO|OUTPUT|CONTROLLER_OUTPUT|CONTROL_OUTPUT|CONTROLLER OUTPUT|LMN|MV"),
-    (
-        Signal::Pv,
-        "PV|PROCESS_VALUE|PROCESSVALUE|PROCESS VALUE|PROCESS_VARIABLE|PROCESS VARIABLE|ACTUAL_VALUE|\
-         ACTUAL|MEAS|MEASUREMENT|PV_IN",
-    ),
-    (Signal::Sp, "SP|SETPOINT|SET_POINT|SET POINT|SV|SPT|WSP"),
-    (Signal::Mode, "MODE|MODE.ACTUAL|MODE/ACTUAL|MODE_ACTUAL|MODE_ACT|MD"),
-    (
-        Signal::Mv,
-        "ZT|ZI|POS|POSITION|VALVE_POSITION|VALVE POSITION|STEM_POSITION|POSITIONER|\
-         POSITIONER_FEEDBACK|POSITIONER FEEDBACK|FEEDBACK|FBK|FB|READBACK|FINAL_POSITION_VALUE",
-    ),
-];
-
-/// Separators between a tag and its ending.
-const SEPARATORS: &str = "._/|:-\\ ";
-
-/// Endings for a value without its role: DeltaV's `.CV`, attributes of other systems.
-const VALUES: &str = "CV|F_CV|VALUE|VAL|PRESENTVALUE|READVALUE";
-
-/// Blocks of a control module: the same loop, another block (Honeywell, DeltaV).
-const BLOCKS: &str = "DACA|PIDA|PID|PID1|AI1|AO1|FBPID|REGCTLA|DATAACQA";
+use stiction::core::units::loop_name_from;
 
 /// The role of a tag.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -116,10 +91,6 @@ pub(super) fn plain(name: &str) -> String {
 
 /// Whether a heading is one of a time column.
 pub(super) fn is_time(name: &str) -> bool {
-    const TIMES: &str = "t|ts|time|timestamp|time stamp|date|datetime|date time|zeit|zeitstempel|datum|datum zeit|datum uhrzeit|\
-        uhrzeit|horodatage|date heure|heure|fecha|fecha hora|hora|local time|localtime|utc|utc time|time utc|\
-        timestamp utc|event time|eventtime|source time|sourcetime|source timestamp|sourcetimestamp|sample time|\
-        log time|logtime|recorded time|index|tijd|tidpunkt";
     let name = plain(name);
     is_one_of(&name, TIMES)
         || name.ends_with(" timestamp")
@@ -131,57 +102,48 @@ pub(super) fn is_time(name: &str) -> bool {
 
 /// Whether a heading is one of a date column without time of day.
 pub(super) fn is_date(name: &str) -> bool {
-    is_one_of(&plain(name), "date|datum|fecha|day|tag")
+    is_one_of(&plain(name), DATES)
 }
 
 /// Whether a heading is one of a tag column.
 pub(super) fn is_tag(name: &str) -> bool {
-    const TAGS: &str = "tag|tagname|tag name|tag id|name|point|pointname|point name|point id|item|itemid|item id|item name|signal|\
-        signal name|variable|sensor|series|data point";
     is_one_of(&plain(name), TAGS)
 }
 
 /// Whether a heading is one of a value column.
 pub(super) fn is_value(name: &str) -> bool {
-    const HEADS: &str = "value|val|wert|valeur|valor|reading|numeric value|value num|value double|vvalue|pvalue|data|data value|\
-        messwert";
     is_one_of(&plain(name), HEADS)
 }
 
 /// The tag that a quality column belongs to: `fic101 pv` for `FIC101.PV Status`, empty for `Quality`; `None` for other headings.
 pub(super) fn quality_of(name: &str) -> Option<String> {
-    const WORDS: &str = "quality|qual|status|confidence|qualität|statuscode|opcquality|isgood|isvalid|valid|qualité|calidad|\
-        quality code|status code|opc quality";
-    let name = plain(name);
-    // Data tools number headings that occur twice.
-    let name = name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end();
+    words_of_quality(name, QUALITIES).or_else(|| {
+        let name = unnumbered(name);
+        let first = |word: &&str| name.strip_prefix(*word)?.strip_prefix(' ').map(str::to_owned);
+        // Behind a tag, short words and DeltaV's `.ST` do too.
+        let short = |word: &&str| name.strip_suffix(*word)?.strip_suffix(' ').map(str::to_owned);
+        ["quality", "status"].iter().find_map(first).or_else(|| ["q", "st", "sts", "qc"].iter().find_map(short))
+    })
+}
+
+/// As [`quality_of`], for headings of flags that are set where a value is bad, such as PI's `Questionable`.
+pub(super) fn doubt_of(name: &str) -> Option<String> {
+    words_of_quality(name, DOUBTS)
+}
+
+/// A plain heading without the number that data tools give to headings that occur twice.
+fn unnumbered(name: &str) -> String {
+    plain(name).trim_end_matches(|c: char| c.is_ascii_digit()).trim_end().to_owned()
+}
+
+/// What stands before one of these words, at the end of a heading.
+fn words_of_quality(name: &str, words: &str) -> Option<String> {
+    let name = unnumbered(name);
     let parts = |word: &str| match name.strip_suffix(word)? {
         "" => Some(String::new()),
         of => of.strip_suffix(' ').map(str::to_owned),
     };
-    // Behind a tag, short words and DeltaV's `.ST` do too.
-    let short = || ["q", "st", "sts", "qc", "valid"].iter().find_map(|word| name.strip_suffix(word)?.strip_suffix(' '));
-    let first = |word: &&str| name.strip_prefix(*word)?.strip_prefix(' ').map(str::to_owned);
-    WORDS
-        .split('|')
-        .filter_map(parts)
-        .min_by_key(String::len)
-        .or_else(|| ["quality", "status"].iter().find_map(first))
-        .or_else(|| short().map(str::to_owned))
-}
-
-/// A unit of time, ns.
-pub(super) fn unit_of_time(word: &str) -> Option<i64> {
-    Some(match word.to_lowercase().as_str() {
-        "s" | "sec" | "secs" | "second" | "seconds" => NS_PER_S,
-        "ms" | "msec" | "millis" | "millisecond" | "milliseconds" => 1_000_000,
-        "us" | "µs" | "μs" | "usec" | "micros" | "microseconds" => 1_000,
-        "ns" | "nsec" | "nanos" | "nanoseconds" => 1,
-        "min" | "minute" | "minutes" => 60 * NS_PER_S,
-        "h" | "hr" | "hrs" | "hour" | "hours" => 3600 * NS_PER_S,
-        "d" | "day" | "days" => 86_400 * NS_PER_S,
-        _ => return None,
-    })
+    words.split('|').filter_map(parts).min_by_key(String::len)
 }
 
 /// The unit of times that a heading names, ns: `Time [ms]`, `time_us`.
@@ -196,6 +158,7 @@ pub(super) fn time_unit(name: &str) -> Option<i64> {
 mod tests {
     use super::*;
     use Signal::{Mode, Mv, Op, Pv, Sp};
+    use stiction::core::units::NS_PER_S;
 
     #[test]
     fn tags_of_the_usual_systems_are_told() {

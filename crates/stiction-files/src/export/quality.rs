@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use clap::ValueEnum;
 
 use super::ExportError;
+use super::cell::Cell;
+use crate::conventions::{BAD, GOOD};
 use crate::number::is_missing_word;
 
 /// Meaning of the quality codes.
@@ -38,9 +40,6 @@ pub(super) enum Mark {
 impl Mark {
     /// Parses a cell; `None` if it is no known word for a quality.
     pub(super) fn read(text: &str) -> Option<Self> {
-        const GOOD: &str = "good|ok|okay|valid|true|normal|gut|bon|bueno|g|yes";
-        const BAD: &str = "bad|uncertain|questionable|doubtful|invalid|false|poor|stale|error|fail|failed|failure|fault|\
-            substituted|schlecht|mauvais|malo|b|u|no|n/a|none|null|missing|unknown|not good|disconnected";
         let text = text.trim();
         if text.is_empty() {
             return Some(Self::None);
@@ -72,6 +71,27 @@ impl Mark {
             (Self::Code(code), Codes::Flag) => code == 0,
         }
     }
+}
+
+/// Whether one of the flags in these columns is set, which say that a value is bad; `None` if there are none.
+pub(super) fn doubt<'c>(
+    line: u64,
+    flags: &[usize],
+    cell: &dyn Fn(usize) -> Cell<'c>,
+) -> Result<Option<bool>, ExportError> {
+    let mut doubted = (!flags.is_empty()).then_some(false);
+    for at in flags {
+        let shown = cell(*at).shown().to_lowercase();
+        match shown.as_str() {
+            "true" | "yes" | "1" => doubted = Some(true),
+            "false" | "no" | "0" | "" => {}
+            _ => {
+                let what = format!("a flag that says whether a value is bad contains {shown:?}, not true or false");
+                return Err(ExportError::at(line, what, "if the column is no quality, use --quality ignore"));
+            }
+        }
+    }
+    Ok(doubted)
 }
 
 /// The convention of a file's codes, from the count of each code and the line of its first occurrence.

@@ -6,6 +6,7 @@ use std::borrow::Cow;
 use jiff::civil::Date;
 use jiff::tz::Offset;
 
+use crate::conventions::{HALF_DAYS, MONTHS};
 use stiction::core::units::NS_PER_S;
 
 /// Nanoseconds in an hour.
@@ -79,22 +80,6 @@ impl Order {
         }
     }
 }
-
-/// Month names in English, German, French and Spanish, recognised by their first letters.
-const MONTHS: [&[&str]; 12] = [
-    &["jan", "ene", "jän"],
-    &["feb", "fév", "fev"],
-    &["mar", "mär", "mrz"],
-    &["apr", "avr", "abr"],
-    &["may", "mai"],
-    &["jun", "juin"],
-    &["jul", "juil"],
-    &["aug", "aoû", "aou", "ago"],
-    &["sep", "set"],
-    &["oct", "okt"],
-    &["nov"],
-    &["dec", "dez", "déc", "dic"],
-];
 
 fn month(word: &str) -> Option<i16> {
     let lower = word.trim_end_matches('.').to_lowercase();
@@ -221,28 +206,6 @@ fn field(word: &str) -> Option<Field> {
     }
     month(word).map(|value| Field { value, digits: 0, named: true })
 }
-
-/// Words for the halves of the day that Unicode's locales have, without blanks and points: before and after noon.
-const HALF_DAYS: [(&str, &str); 18] = [
-    ("am", "pm"),
-    ("vorm", "nachm"),
-    ("voorm", "nam"),
-    ("fm", "em"),
-    ("ap", "ip"),
-    ("dop", "odp"),
-    ("de", "du"),
-    ("pd", "md"),
-    ("sa", "ch"),
-    ("öö", "ös"),
-    ("πμ", "μμ"),
-    ("дп", "пп"),
-    ("проб", "слоб"),
-    ("ص", "م"),
-    ("上午", "下午"),
-    ("午前", "午後"),
-    ("오전", "오후"),
-    ("formiddag", "eftermiddag"),
-];
 
 /// A time with AM or PM for such words of any language, which stand behind or before the time of day.
 fn in_english(text: &str) -> Cow<'_, str> {

@@ -5,63 +5,14 @@ use jiff::tz::{AmbiguousOffset, Offset, TimeZone};
 
 use super::ExportError;
 use super::stamp::HOUR_NS;
+use crate::conventions::{LETTERS, WINDOWS};
 use stiction::core::units::format_rfc3339;
 
 /// Half an hour: rows closer than this belong together; steps at a clock change are longer.
 const NEAR_NS: i64 = HOUR_NS / 2;
 
-/// Windows names of time zones that occur in exports.
-const WINDOWS: [(&str, &str); 14] = [
-    ("W. Europe Standard Time", "Europe/Berlin"),
-    ("Central Europe Standard Time", "Europe/Budapest"),
-    ("Central European Standard Time", "Europe/Warsaw"),
-    ("Romance Standard Time", "Europe/Paris"),
-    ("GMT Standard Time", "Europe/London"),
-    ("FLE Standard Time", "Europe/Helsinki"),
-    ("Eastern Standard Time", "America/New_York"),
-    ("Central Standard Time", "America/Chicago"),
-    ("Mountain Standard Time", "America/Denver"),
-    ("Pacific Standard Time", "America/Los_Angeles"),
-    ("E. South America Standard Time", "America/Sao_Paulo"),
-    ("China Standard Time", "Asia/Shanghai"),
-    ("India Standard Time", "Asia/Kolkata"),
-    ("AUS Eastern Standard Time", "Australia/Sydney"),
-];
-
 /// Letters behind a time, filled up with zeros.
 pub(super) type Letters = [u8; 5];
-
-/// Letters that times carry, with their hours from UTC. Several zones share some of them, so they never give a zone, but
-/// they must agree with the one that is given.
-const LETTERS: [(&str, i32); 27] = [
-    ("UTC", 0),
-    ("GMT", 0),
-    ("WET", 0),
-    ("WEST", 1),
-    ("BST", 1),
-    ("CET", 1),
-    ("MEZ", 1),
-    ("CEST", 2),
-    ("MESZ", 2),
-    ("EET", 2),
-    ("EEST", 3),
-    ("MSK", 3),
-    ("SGT", 8),
-    ("CST", 8),
-    ("JST", 9),
-    ("KST", 9),
-    ("AEST", 10),
-    ("AEDT", 11),
-    ("BRT", -3),
-    ("EDT", -4),
-    ("EST", -5),
-    ("CDT", -5),
-    ("CST", -6),
-    ("MDT", -6),
-    ("MST", -7),
-    ("PDT", -7),
-    ("PST", -8),
-];
 
 /// Whether a word may be the letters of a zone.
 pub(super) fn is_letters(word: &str) -> bool {
