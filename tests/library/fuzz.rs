@@ -309,3 +309,56 @@ fn keys_and_commands() {
         }
     });
 }
+
+/// Files of a person: scenarios, models, lists of labels, and the options that say how a file is to be read.
+#[test]
+fn scenarios_models_labels_and_options() {
+    let scenarios =
+        ["sticking", "four-loops", "awkward"].map(|n| fs::read(format!("recordings/scenarios/{n}.toml")).unwrap());
+    fuzz("scenarios", 1000, &scenarios, |bytes| {
+        if let Err(error) = stiction::core::sim::scenario::Scenario::parse(&String::from_utf8_lossy(bytes)) {
+            assert!(!error.to_string().is_empty());
+        }
+    });
+    let model = r#"{"schema":"stictiond.model.v1","ts_s":1,"valve":{"fs":4,"fd":2},"process":{"gain":2,"time_constants_s":[10,5],"dead_time_s":3,"integrating":false},"rest":{"op":50,"pv":60},"effects":[]}"#;
+    fuzz("models", 5000, &texts(&[model, "{}\n[]", r#"{"schema":"stictiond.gap.v1","model_after":{}}"#]), |bytes| {
+        let _ = stiction::core::gap::model_file::ModelFile::parse(&String::from_utf8_lossy(bytes));
+    });
+    let dir = tempfile::tempdir().unwrap();
+    let index = dir.path().join("INDEX.csv");
+    fuzz(
+        "labels",
+        1000,
+        &texts(&["file,label,valve,loop\na/b.csv,stiction,V1,FIC101\n", "label,file\n,\n"]),
+        |bytes| {
+            fs::write(&index, bytes).unwrap();
+            let _ = stiction_files::labelled::read(&index);
+        },
+    );
+    let options =
+        texts(&["map op=Valve, main,pv=41FI101,t=1", "tz CET-1CEST,M3.5.0,M10.5.0/3", "time-format %d/%m/%Y %H:%M:%S"]);
+    fuzz("options", 5000, &options, |bytes| {
+        let text = String::from_utf8_lossy(bytes);
+        let mut given = stiction_files::ReadOptions::default();
+        for name in ["map", "tz", "time-format", "time-unit", "decimal", "delimiter", "encoding", "quality", "missing"]
+        {
+            let value = text.split_once(' ').map_or(&*text, |(_, value)| value);
+            if given.set(name, value).is_ok() {
+                let _ = stiction_files::export::moment("05/01/2026 08:00", &given);
+            }
+        }
+        let _ = stiction_files::export::moment(&text, &given);
+    });
+}
+
+/// Documents that come back over the bus, of any version.
+#[test]
+fn documents_from_the_bus() {
+    let estimate = r#"{"schema":"stictiond.estimate.v1","loop":"A","window":{"start_ns":0,"end_ns":9},"verdict":"stiction","gates":["too_coarse"],"s":1.5,"fs_interval":[1,2],"indicators":[{"name":"x","contribution":1.5}]}"#;
+    let alarm = r#"{"schema":"stictiond.alarm.v1","loop":"A","active":true,"since_ns":5,"p":0.9,"marks":{}}"#;
+    fuzz("documents", 5000, &texts(&[estimate, alarm, "null"]), |bytes| {
+        if let Ok(value) = serde_json::from_slice(bytes) {
+            let _ = (stictiond::daemon::received::estimate(&value), stictiond::daemon::received::alarm(&value));
+        }
+    });
+}

@@ -17,6 +17,7 @@ mod fuzz;
 #[path = "../common/isa.rs"]
 mod isa;
 mod maintenance;
+mod metamorphic;
 mod obstacles;
 mod openapi;
 mod pages;
