@@ -33,7 +33,7 @@ impl ReplayPlant {
     /// Takes what a lane made.
     pub(super) fn take(&mut self, event: PlantEvent) {
         match event {
-            PlantEvent::Window(name, window) => drop(self.watch.keep(&name, *window)),
+            PlantEvent::Window(name, window) => self.watch.keep(&name, *window),
             PlantEvent::Left(name) => self.watch.forget(&name),
         }
     }

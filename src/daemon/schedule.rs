@@ -11,6 +11,8 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, HashMap, VecDeque};
 
+use stiction_engine::shard::stable_hash;
+
 /// Windows that may wait before each loop holds but one.
 pub const BURST: usize = 1024;
 /// Windows that may wait at all.
@@ -52,13 +54,6 @@ pub struct Schedule<J> {
     length: usize,
     bytes: usize,
     limits: [usize; 3],
-}
-
-/// A hash of a name that is the same on every machine and in every run (FNV-1a). Its order decides which windows a comparison of
-/// loops finds, so another hash finds other groups.
-#[must_use]
-pub fn hash_of(name: &str) -> u64 {
-    name.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3))
 }
 
 impl<J> Default for Schedule<J> {
@@ -114,7 +109,7 @@ impl<J> Schedule<J> {
         let (now, skips) = (self.now, self.skips);
         self.leave(of);
         let share = self.loops.entry(of).or_insert_with(|| Share {
-            hash: hash_of(name),
+            hash: stable_hash(name),
             waiting: VecDeque::new(),
             next_tag: 0,
             passed_over: skips,
@@ -265,12 +260,6 @@ mod tests {
         }
         let order: Vec<u64> = std::iter::from_fn(|| schedule.pop()).map(|(_, window)| window).collect();
         assert!(order.iter().copied().eq(0..BURST as u64));
-    }
-
-    #[test]
-    fn names_spread_the_same_everywhere() {
-        assert_eq!(hash_of(""), 0xcbf2_9ce4_8422_2325);
-        assert_eq!(hash_of("FIC101"), 0x7610_7775_11d7_41db);
     }
 
     proptest! {

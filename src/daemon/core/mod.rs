@@ -439,7 +439,10 @@ impl Core {
         let lag_ns = self.clock.now_ns().saturating_sub(answered.arrival_ns).max(0);
         self.metrics.lag.0.observe(s_from_ns(lag_ns));
         match answered.answer {
-            Some(answer) => self.engine.complete(answered.id, answered.seq, answer, &mut self.events),
+            Some(answer) => {
+                self.engine.complete(answered.id, answered.seq, answer, &mut self.events);
+                self.window_answered(answered.end_ns);
+            }
             None => self.skip(answered.id, answered.seq, answered.end_ns, SkipReason::Failed),
         }
         self.handle_events();
@@ -490,6 +493,7 @@ impl Core {
                 }
             }
         }
+        self.compare_when_due();
     }
 
     fn alarm_changed(&mut self, id: LoopId, document: &AlarmDocument) {

@@ -14,7 +14,9 @@ use stiction_engine::engine::{Comparison, GroupStanding, LoopId, LoopWindow, Pla
 
 /// The newest windows, and who compares them.
 pub(super) struct Plant {
-    watch: PlantWatch,
+    pub(super) watch: PlantWatch,
+    /// The loop whose window came last.
+    last: Option<LoopId>,
     comparer: Comparer,
     is_comparing: bool,
     /// The newest comparison that came due meanwhile.
@@ -28,7 +30,7 @@ pub(super) struct Plant {
 impl Plant {
     pub(super) fn new(comparer: Comparer) -> Self {
         let (watch, shown, members) = (PlantWatch::default(), BTreeSet::new(), BTreeSet::new());
-        Self { watch, comparer, is_comparing: false, next: None, shown, members }
+        Self { watch, last: None, comparer, is_comparing: false, next: None, shown, members }
     }
 
     pub(super) const fn answers(&self) -> &crossbeam_channel::Receiver<Compared> {
@@ -51,12 +53,19 @@ impl Plant {
 }
 
 impl Core {
-    /// Keeps a window. A comparison that is due starts when the one before is done.
     pub(super) fn watch_window(&mut self, id: LoopId, window: LoopWindow) {
+        if let Some(plant) = &mut self.plant {
+            plant.watch.keep(self.engine.name(id), window);
+            plant.last = Some(id);
+        }
+    }
+
+    /// Orders the comparison that is due, if one is; it starts when the one before is done.
+    pub(super) fn compare_when_due(&mut self) {
         let Some(plant) = &mut self.plant else { return };
-        let Some(due) = plant.watch.take(self.engine.name(id), window) else { return };
+        let Some(due) = plant.watch.due() else { return };
         // The file of one of the loops holds all of a comparison.
-        let id = due.loops().find_map(|name| self.engine.find(name)).unwrap_or(id);
+        let Some(id) = due.loops().find_map(|name| self.engine.find(name)).or(plant.last) else { return };
         let input = RecordedInput::Comparing { windows: due.digest() };
         self.metrics.comparisons_due.inc();
         if plant.next.replace(due).is_some() {

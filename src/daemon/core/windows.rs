@@ -10,6 +10,9 @@ impl Core {
     pub(super) fn schedule_window(&mut self, request: Request) {
         self.metrics.windows.inc();
         let id = request.id;
+        if let Some(plant) = &mut self.plant {
+            plant.watch.expect(request.end_ns);
+        }
         // The only window of a loop shares its history's memory for the most part; a further one has a copy of its own.
         let bytes = if self.engine.waiting(id).nth(1).is_some() { request.bytes() } else { 0 };
         let job = Job { request, arrival_ns: self.arrival_ns };
@@ -30,9 +33,16 @@ impl Core {
         }
     }
 
+    pub(super) fn window_answered(&mut self, end_ns: i64) {
+        if let Some(plant) = &mut self.plant {
+            plant.watch.answered(end_ns);
+        }
+    }
+
     pub(super) fn skip(&mut self, id: LoopId, seq: u64, window_end_ns: i64, reason: SkipReason) {
         self.metrics.fits_skipped.inc();
         self.record(id, Kind::Input, &RecordedInput::Skip { window_end_ns, seq, reason }, window_end_ns);
         self.engine.skip(id, seq, &mut self.events);
+        self.window_answered(window_end_ns);
     }
 }

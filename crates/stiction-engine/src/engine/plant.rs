@@ -1,9 +1,10 @@
 //! The loops of a plant together: which windows are compared, when, and what comes of it for each loop.
 //!
 //! [`PlantWatch`] keeps the newest window of every loop that oscillates. A comparison is due once each of them has a new
-//! window, or one of them has a second one. Whoever drives the watch computes the [`Comparison`] elsewhere, and hands every
-//! member's answer to the engine as a [`GroupStanding`]. The recording holds both moments, and a replay compares the windows
-//! that it has at the first.
+//! window, or one of them has a second one, and no window of that instant waits for its answer any more: the order of the
+//! answers decides nothing. Whoever drives the watch computes the [`Comparison`] elsewhere, and hands every member's answer
+//! to the engine as a [`GroupStanding`]. The recording holds both moments, and a replay compares the windows that it has at
+//! the first.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -84,29 +85,62 @@ pub struct PlantWatch {
     new: usize,
     /// Whether a loop has left since the last comparison.
     has_lost: bool,
+    /// Whether a window has changed anything since a comparison was last thought of.
+    has_changed: bool,
+    /// The earliest end of a second window since then, ns.
+    second_ns: Option<i64>,
+    /// Windows that wait for their answers, by their ends.
+    awaited: BTreeMap<i64, usize>,
 }
 
 impl PlantWatch {
-    /// Takes a loop's next window; gives a comparison when one is due.
-    pub fn take(&mut self, name: &Arc<str>, window: LoopWindow) -> Option<Comparison> {
-        let is_second = self.kept.get(name).is_some_and(|kept| kept.is_new) && window.oscillates();
-        let is_change = self.keep(name, window);
-        if is_second || is_change && self.new == self.kept.len() { self.due() } else { None }
+    /// A window that ends there came due; its answer is still to come.
+    pub fn expect(&mut self, end_ns: i64) {
+        *self.awaited.entry(end_ns).or_default() += 1;
     }
 
-    /// Keeps a loop's newest window while the loop oscillates; says whether anything changed.
-    pub fn keep(&mut self, name: &Arc<str>, window: LoopWindow) -> bool {
-        let oscillates = window.oscillates();
+    /// One of the windows that end there was answered, or given up.
+    pub fn answered(&mut self, end_ns: i64) {
+        let Some(left) = self.awaited.get_mut(&end_ns) else { return };
+        *left -= 1;
+        if *left == 0 {
+            self.awaited.remove(&end_ns);
+        }
+    }
+
+    /// Keeps a loop's newest window while the loop oscillates.
+    pub fn keep(&mut self, name: &Arc<str>, window: LoopWindow) {
+        let (oscillates, end_ns, bytes) = (window.oscillates(), window.end_ns(), window.bytes());
+        if oscillates && self.kept.get(name).is_some_and(|kept| kept.is_new) {
+            self.second_ns = Some(self.second_ns.map_or(end_ns, |first_ns| first_ns.min(end_ns)));
+        }
         let was_kept = self.remove(name);
         self.has_lost |= was_kept && !oscillates;
-        let bytes = window.bytes();
-        if !oscillates || self.bytes + bytes > MAX_BYTES {
-            return was_kept;
+        let is_kept = oscillates && self.bytes + bytes <= MAX_BYTES;
+        self.has_changed |= was_kept || is_kept;
+        if is_kept {
+            self.bytes += bytes;
+            self.new += 1;
+            self.kept.insert(name.clone(), Kept { window, is_new: true });
         }
-        self.bytes += bytes;
-        self.new += 1;
-        self.kept.insert(name.clone(), Kept { window, is_new: true });
-        true
+    }
+
+    /// The comparison that is due, if one is.
+    pub fn due(&mut self) -> Option<Comparison> {
+        let is_whole = self.has_changed && self.new == self.kept.len();
+        let newest_ns = || self.kept.values().map(|kept| kept.window.end_ns()).max().unwrap_or(i64::MIN);
+        let instant_ns = self.second_ns.or_else(|| is_whole.then(newest_ns))?;
+        if self.awaited.range(..=instant_ns).next().is_some() {
+            return None;
+        }
+        (self.has_changed, self.second_ns) = (false, None);
+        let comparison = self.compare();
+        let is_due = comparison.windows.len() > 1 || self.has_lost;
+        if is_due {
+            (self.has_lost, self.new) = (false, 0);
+            self.kept.values_mut().for_each(|kept| kept.is_new = false);
+        }
+        is_due.then_some(comparison)
     }
 
     /// Lets a loop go that has left.
@@ -125,16 +159,6 @@ impl PlantWatch {
     #[must_use]
     pub fn count(&self) -> usize {
         self.kept.len()
-    }
-
-    fn due(&mut self) -> Option<Comparison> {
-        let comparison = self.compare();
-        let is_due = comparison.windows.len() > 1 || self.has_lost;
-        if is_due {
-            (self.has_lost, self.new) = (false, 0);
-            self.kept.values_mut().for_each(|kept| kept.is_new = false);
-        }
-        is_due.then_some(comparison)
     }
 
     /// The comparison of the windows that are kept now. Those of loops that fell silent are dropped first.
@@ -288,10 +312,64 @@ mod tests {
         comparison.loops().map(|name| &**name).collect()
     }
 
+    fn take(watch: &mut PlantWatch, name: &str, window: LoopWindow) -> Option<Comparison> {
+        watch.keep(&name.into(), window);
+        watch.due()
+    }
+
     /// Takes windows of loops and hops; gives the loops of each comparison.
     fn compared(watch: &mut PlantWatch, windows: &[(&str, i64)]) -> Vec<String> {
-        let take = |(name, hop): &(&str, i64)| watch.take(&(*name).into(), window(*hop, true));
+        let take = |(name, hop): &(&str, i64)| take(watch, name, window(*hop, true));
         windows.iter().filter_map(take).map(|comparison| names(&comparison).join(" ")).collect()
+    }
+
+    /// The loops and hops of each comparison where the windows of an instant are answered in this order, after what the
+    /// last one gave.
+    fn compared_in_order(instants: &[&[(&str, bool)]], order: impl Fn(usize, usize) -> usize) -> Vec<(usize, String)> {
+        let (mut watch, mut all) = (PlantWatch::default(), Vec::new());
+        for (hop, instant) in instants.iter().enumerate() {
+            let (end_ns, count) = (hop as i64 * HOP_NS, instant.len());
+            (0..count).for_each(|_| watch.expect(end_ns));
+            for at in 0..count {
+                let (name, oscillating) = instant[order(at, count)];
+                watch.keep(&name.into(), window(hop as i64, oscillating));
+                watch.answered(end_ns);
+                all.extend(watch.due().map(|comparison| (hop, comparison.digest())));
+            }
+        }
+        all
+    }
+
+    #[test]
+    fn the_order_in_which_windows_of_an_instant_are_answered_decides_nothing() {
+        // B is silent from the third instant on, D comes with the fourth, C calms down in the sixth.
+        let instants: [&[(&str, bool)]; 8] = [
+            &[("A", true), ("B", true), ("C", true)],
+            &[("A", true), ("B", true), ("C", true)],
+            &[("A", true), ("C", true)],
+            &[("A", true), ("C", true), ("D", true)],
+            &[("A", true), ("C", true), ("D", true)],
+            &[("A", true), ("C", false), ("D", true)],
+            &[("A", true), ("C", false), ("D", true)],
+            &[("A", true), ("C", true), ("D", true)],
+        ];
+        let usual = compared_in_order(&instants, |at, _| at);
+        assert!(usual.len() >= 6, "{usual:?}");
+        for turn in 0..3 {
+            assert_eq!(compared_in_order(&instants, |at, count| (at + turn) % count), usual);
+            assert_eq!(compared_in_order(&instants, |at, count| (count - 1 - at + turn) % count), usual);
+        }
+    }
+
+    #[test]
+    fn a_window_of_a_later_instant_holds_no_comparison_up_nor_does_a_clock_that_runs_ahead() {
+        let mut watch = PlantWatch::default();
+        compared(&mut watch, &[("A", 1), ("B", 1), ("A", 2), ("D", 900)]);
+        watch.expect(3 * HOP_NS);
+        watch.expect(4 * HOP_NS);
+        assert_eq!(compared(&mut watch, &[("D", 901), ("A", 3)]), [""; 0]);
+        watch.answered(3 * HOP_NS);
+        assert_eq!(names(&watch.due().unwrap()), ["A", "B", "D"]);
     }
 
     #[test]
@@ -309,7 +387,7 @@ mod tests {
     fn a_loop_that_calms_down_leaves_and_the_others_are_told() {
         let mut watch = PlantWatch::default();
         compared(&mut watch, &[("A", 1), ("B", 1), ("A", 2)]);
-        let last = watch.take(&"B".into(), window(2, false)).unwrap();
+        let last = take(&mut watch, "B", window(2, false)).unwrap();
         assert_eq!((names(&last), last.compute(None)), (vec!["A"], Vec::new()));
         assert_eq!(watch.count(), 1);
     }
@@ -326,7 +404,7 @@ mod tests {
     fn a_digest_names_the_windows() {
         let of = |windows: &[(&str, i64)]| {
             let mut watch = PlantWatch::default();
-            let take = |(name, hop): &(&str, i64)| watch.take(&(*name).into(), window(*hop, true));
+            let take = |(name, hop): &(&str, i64)| take(&mut watch, name, window(*hop, true));
             windows.iter().filter_map(take).last().unwrap().digest()
         };
         assert_eq!(of(&[("A", 1), ("B", 1)]), of(&[("B", 1), ("A", 1)]));
