@@ -87,9 +87,7 @@ impl Client {
     fn stop(mut self) {
         let pid = self.child.id().to_string();
         assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
-        let asked = Instant::now();
-        assert!(self.child.wait().unwrap().success());
-        assert!(asked.elapsed() < Duration::from_secs(5), "{:?}", asked.elapsed());
+        assert!(wait_for("the daemon's end", || self.child.try_wait().unwrap()).success());
         for entry in fs::read_dir(&self.recordings).unwrap().flatten().map(|e| e.path()) {
             if entry.extension().is_some_and(|e| e == "mcap") {
                 ok(&["info", entry.to_str().unwrap(), "--verify"]);
@@ -106,25 +104,18 @@ fn a_router_that_is_restarted_again_and_again_is_found_again() {
     let daemon = Client::start(dir.path(), port, "[recording]\n");
     let plant = session("client", false, port).unwrap();
     let mut sent = 0_u64;
-    let mut longest = Duration::ZERO;
-    for restart in 0..5 {
+    for _ in 0..5 {
         let before = daemon.counter("samples");
-        let up = Instant::now();
         wait_for("samples after a restart", || {
             let t_ns = 1_700_000_000_000_000_000 + sent * 1_000_000_000;
             plant.put(format!("{PREFIX}/A/op"), format!("{{\"t\":{t_ns},\"v\":1}}")).wait().unwrap();
             sent += 1;
             (daemon.counter("samples") > before + 5).then_some(())
         });
-        longest = longest.max(if restart > 0 { up.elapsed() } else { Duration::ZERO });
         router.close().wait().unwrap();
         std::thread::sleep(Duration::from_millis(300));
         router = wait_for("the port", || session("router", true, port));
     }
-    println!(
-        "5 restarts of the router, {sent} samples sent, {:.1} s at most until data came again",
-        longest.as_secs_f64()
-    );
     let memory = daemon.resident_mb();
     assert!(memory < 200.0, "{memory} MB");
     let _ = plant.close().wait();

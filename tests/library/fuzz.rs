@@ -6,7 +6,6 @@
 
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::time::{Duration, Instant};
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -102,17 +101,13 @@ fn mutated(random: &mut ChaCha8Rng, corpus: &[Vec<u8>]) -> Vec<u8> {
 /// Feeds one target with so many inputs, or so many times as many as [`TIMES`] says.
 fn fuzz(name: &str, count: u64, corpus: &[Vec<u8>], target: impl Fn(&[u8])) {
     let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
-    let started = Instant::now();
     let seeds = number(SEED).map_or(0..count * number(TIMES).unwrap_or(1), |seed| seed..seed + 1);
     for seed in seeds.clone() {
         let input = mutated(&mut ChaCha8Rng::seed_from_u64(seed), corpus);
-        let began = Instant::now();
         let outcome = catch_unwind(AssertUnwindSafe(|| target(&input)));
         assert!(outcome.is_ok(), "{name}: seed {seed} panics on {} bytes", input.len());
-        let took = began.elapsed();
-        assert!(took < Duration::from_secs(60), "{name}: seed {seed} took {took:?}");
     }
-    println!("{name}: {} inputs in {:.1} s", seeds.count(), started.elapsed().as_secs_f64());
+    println!("{name}: {} inputs", seeds.count());
 }
 
 fn texts(all: &[&str]) -> Vec<Vec<u8>> {
