@@ -11,7 +11,7 @@ use super::live::{Daemon, ask, documents, files, ok, plane, wait_for};
 use stiction_lab::plants::Role;
 
 /// Windows that end often enough for several comparisons.
-const SETTINGS: &str = "[window]\nhop_s = 600.0\n[recording]\nflush_s = 0.1\n";
+const SETTINGS: &str = "[window]\nhop_s = 600.0\nmax_points = 400\n[recording]\nflush_s = 0.1\n";
 
 #[test]
 fn groups_are_published_recorded_and_replayed_to_the_byte() {

@@ -180,7 +180,7 @@ fn run(dir: &Path, seed: u64, edits: usize) -> (Said, BTreeMap<&'static str, usi
 
 #[test]
 fn loops_that_nobody_edits_say_the_same_to_the_byte_and_recordings_replay_across_edits() {
-    let seeds = if std::env::var_os("STICTIOND_LONG").is_some() { 100 } else { 10 };
+    let seeds = if std::env::var_os("STICTIOND_LONG").is_some() { 100 } else { 5 };
     let (mut documents, mut compared, mut edits) = (0, 0, BTreeMap::<&str, usize>::new());
     for seed in 0..seeds {
         let dir = tempfile::tempdir().unwrap();
@@ -199,13 +199,13 @@ fn loops_that_nobody_edits_say_the_same_to_the_byte_and_recordings_replay_across
         counts.into_iter().for_each(|(what, count)| *edits.entry(what).or_default() += count);
     }
     println!("{} edits: {edits:?}; {documents} documents equal, {compared} replayed", seeds as usize * EDITS);
-    assert!(edits.values().all(|count| *count > 10), "{edits:?}");
-    assert!(documents > 500 && compared > 1000, "{documents} {compared}");
+    assert!(edits.values().all(|count| *count > 4), "{edits:?}");
+    assert!(documents > 250 && compared > 500, "{documents} {compared}");
 }
 
 fn named(dir: &Path, entries: &str) -> String {
     format!(
-        "[site]\nprefix = \"p\"\n[input]\ndiscover = false\nmax_ahead_s = 0.0\n[window]\nhop_s = 600.0\n[alarm]\nraise = [1, 1]\n\
+        "[site]\nprefix = \"p\"\n[input]\ndiscover = false\nmax_ahead_s = 0.0\n[window]\nhop_s = 600.0\nmax_points = 400\n[alarm]\nraise = [1, 1]\n\
          [gap]\nenabled = false\n[recording]\ndir = {:?}\n{entries}",
         dir.to_str().unwrap()
     )

@@ -50,7 +50,7 @@ pub fn shown(stage: &SimDaemon, name: &str) -> Option<State> {
 
 fn start(dir: &Path, clock: &Clock) -> (SimDaemon, Config) {
     let text = format!(
-        "[site]\nprefix = \"p\"\n[input]\nforget_after_s = 600.0\n[window]\nhop_s = 300.0\n[alarm]\nraise = [1, 1]\n\
+        "[site]\nprefix = \"p\"\n[input]\nforget_after_s = 600.0\n[window]\nhop_s = 300.0\nmax_points = 400\n[alarm]\nraise = [1, 1]\n\
          [gap]\nenabled = false\n[recording]\ndir = {:?}\n",
         dir.to_str().unwrap()
     );

@@ -107,7 +107,7 @@ impl Site {
     /// `settings` come after those of site, windows and alarms.
     pub fn start(dir: &Path, settings: &str, loops: Vec<Wired>) -> Self {
         let text = format!(
-            "[site]\nprefix = \"p\"\n[window]\nhop_s = {HOP_S}.0\n[alarm]\nraise = [2, 2]\n\
+            "[site]\nprefix = \"p\"\n[window]\nhop_s = {HOP_S}.0\nmax_points = 600\n[alarm]\nraise = [2, 2]\n\
              [recording]\ndir = {:?}\n{settings}",
             dir.to_str().unwrap()
         );
@@ -178,7 +178,7 @@ impl Seen {
     }
 }
 
-const NEVER_STICK: [&str; 5] = ["A2", "A3", "B2", "B3", "C1"];
+const NEVER_STICK: [&str; 3] = ["A2", "B3", "C1"];
 
 /// What a round must have shown.
 fn check(round: &[Seen]) {
@@ -202,11 +202,9 @@ fn groups_come_and_go_with_the_valves_that_stick_and_no_healthy_loop_has_an_alar
     let loops = vec![
         wired("A1", 18.0, None, 1),
         wired("A2", 10.0, Some((0, 0.8)), 2),
-        wired("A3", 24.0, Some((0, -0.7)), 3),
         wired("A4", 16.0, Some((0, 0.9)), 4),
         wired("B1", 28.0, None, 5),
-        wired("B2", 14.0, Some((4, 0.8)), 6),
-        wired("B3", 20.0, Some((4, -0.9)), 7),
+        wired("B3", 20.0, Some((3, -0.9)), 7),
         wired("C1", 18.0, None, 8),
     ];
     let mut site = Site::start(dir.path(), "[gap]\nenabled = false\n", loops);
@@ -218,5 +216,5 @@ fn groups_come_and_go_with_the_valves_that_stick_and_no_healthy_loop_has_an_alar
     }
     site.stage.finish();
     drop(site);
-    assert!(chains_replay_to_the_byte(dir.path()) > 100);
+    assert!(chains_replay_to_the_byte(dir.path()) > 70);
 }
