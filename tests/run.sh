@@ -12,8 +12,8 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 started=$SECONDS
 log=$(mktemp)
-beside=$(mktemp)
-trap 'rm -f "$log" "$beside"' EXIT
+beside=$(mktemp -d)
+trap 'rm -rf "$log" "$beside"' EXIT
 all=${1:-}
 [ -z "$all" ] || [ "$all" = --all ] || { echo "usage: tests/run.sh [--all]" >&2; exit 2; }
 if [ -n "$all" ]; then
@@ -42,42 +42,51 @@ fi
 step "building the tests"
 cargo test --no-run --locked --quiet --features full --all-targets
 
-# Some tests mostly wait: for a daemon that is killed, a disk that fills, a broker that comes back, a program that runs.
-# They run beside those that compute; what they print follows when both have ended.
-waiting=(daemon program)
+# Tests of the daemon and of the page mostly wait: for a kill, a full disk, a browser. They run beside those that compute, which
+# take what the others leave of the processors: all of it at the priority that the daemon gives to its gap diagnoses, which a
+# higher one would starve. What ran beside is printed once it has ended.
+beside_them=(daemon program)
 computing=()
 for path in tests/*.rs tests/*/main.rs crates/*/tests/*/main.rs; do
     name=$(basename "${path%/main.rs}" .rs)
-    [[ " ${waiting[*]} " == *" $name "* ]] || computing+=("$name")
+    [[ " ${beside_them[*]} " == *" $name "* ]] || computing+=("$name")
 done
 
-step "tests that compute: units, ${computing[*]}; beside them those that wait: ${waiting[*]}, and those from outside"
+# What fails in one of these does not hide what comes behind it. The tests' build has every feature, and would not see that
+# the first command of README has none to compile: that is checked here.
+of_the_program() {
+    local bad=0
+    nice -n 19 cargo test --no-fail-fast --locked --features full --test=program || bad=1
+    nice -n 19 bash tests/interop/run.sh || bad=1
+    nice -n 19 bash python/test.sh || bad=1
+    return "$bad"
+}
+that_wait() {
+    local bad=0
+    cargo test --no-fail-fast --locked --features full --test=daemon -- --test-threads=4 || bad=1
+    bash tests/page/run.sh || bad=1
+    bash tests/report/run.sh || bad=1
+    nice -n 19 env -u RUSTC_WORKSPACE_WRAPPER cargo check --locked --quiet -p stictiond || bad=1
+    return "$bad"
+}
+
+step "tests that compute: units, ${computing[*]}; beside them: ${beside_them[*]}, interop, python, page, report"
 wait "$fetching" || true
-(
-    # What fails here does not hide what comes behind it.
-    bad=0
-    cargo test --no-fail-fast --locked --features full "${waiting[@]/#/--test=}" || bad=1
-    bash tests/interop/run.sh || bad=1
-    exit "$bad"
-) >"$beside" 2>&1 &
-others=$!
 failed=0
-noted cargo test --no-fail-fast --locked --features full --lib --bins "${computing[@]/#/--test=}" || failed=1
-noted cargo test --locked --features full --doc || failed=1
-noted bash python/test.sh || failed=1
-noted bash tests/report/run.sh || failed=1
+of_the_program >"$beside/program" 2>&1 &
+program=$!
+that_wait >"$beside/wait" 2>&1 &
+others=$!
+noted nice -n 19 cargo test --no-fail-fast --locked --features full --lib --bins "${computing[@]/#/--test=}" || failed=1
+noted nice -n 19 cargo test --locked --features full --doc || failed=1
 
-step "tests that wait, and those from outside: what they said"
+step "the program, from outside and by Python: what was said"
+wait "$program" || failed=1
+noted cat "$beside/program"
+
+step "the daemon, pages and reports in a browser, the program as the demo builds it: what was said"
 wait "$others" || failed=1
-noted cat "$beside"
-
-# The tests' build has every feature, and would not see that the first command of README has none to compile. The browser
-# leaves the processors idle most of the time; it goes first.
-step "the page in a browser, its API from outside; beside it the program as the demo builds it, without the feature full"
-nice -n 19 env -u RUSTC_WORKSPACE_WRAPPER cargo check --locked --quiet -p stictiond >"$beside" 2>&1 &
-plain=$!
-noted bash tests/page/run.sh || failed=1
-wait "$plain" || { noted cat "$beside"; failed=1; }
+noted cat "$beside/wait"
 
 if [ -n "$all" ]; then
     step "tests that take long"

@@ -381,4 +381,5 @@ pub fn sticking(dir: &Path) -> String {
     out.to_str().unwrap().to_owned()
 }
 
-pub const FAST: &str = "[window]\nhop_s = 300.0\nmax_points = 400\n[alarm]\nraise = [2, 3]\n[recording]\nflush_s = 0.1\n";
+pub const FAST: &str =
+    "[window]\nhop_s = 300.0\nmax_points = 400\n[alarm]\nraise = [2, 3]\n[recording]\nflush_s = 0.1\n";

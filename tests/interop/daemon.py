@@ -82,7 +82,7 @@ class Daemon:
 
     def __enter__(self):
         self.process = subprocess.Popen(
-            [PROGRAM, "run", "--config", self.config], stdin=subprocess.DEVNULL,
+            [PROGRAM, "run", "--config", self.config, "--health-every-s", "1"], stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT,
             env={**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "info,zenoh=error")},
         )

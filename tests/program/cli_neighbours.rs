@@ -43,13 +43,13 @@ fn the_neighbour_that_acts_tells_most_among_unrelated_loops_which_change_nothing
     let own = table(home.path(), "loop", &case.record);
     let others = home.path().join("others");
     fs::create_dir(&others).unwrap();
-    for (i, unrelated) in unrelated_loops(SEED, NUMBER, 6, &case.record, &case.periods_s).iter().enumerate() {
+    for (i, unrelated) in unrelated_loops(SEED, NUMBER, 3, &case.record, &case.periods_s).iter().enumerate() {
         table(&others, &format!("S{i}"), unrelated);
     }
     let flag = Path::new("--neighbours");
     let alone = document(&gap(&[&own]));
     let withheld = document(&gap(&[&own, flag, &others]));
-    assert_eq!(withheld["neighbours"]["offered"], 6);
+    assert_eq!(withheld["neighbours"]["offered"], 3);
     assert!(alone.get("neighbours").is_none());
     assert_eq!(withheld["cause"]["id"], alone["cause"]["id"], "{}", withheld["neighbours"]);
     // Where none is rare enough to be fitted, every other figure stays as it was.
@@ -62,7 +62,7 @@ fn the_neighbour_that_acts_tells_most_among_unrelated_loops_which_change_nothing
     table(&others, "DRIVER", &case.other);
     let revealed = document(&gap(&[&own, flag, &others]));
     let compared = &revealed["neighbours"];
-    assert_eq!(compared["offered"], 7, "{compared}");
+    assert_eq!(compared["offered"], 4, "{compared}");
     assert_eq!(compared["best"], "DRIVER", "{compared}");
     // What is fitted stands among the effects with its sizes.
     for name in compared["fitted"].as_array().unwrap() {

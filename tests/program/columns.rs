@@ -27,7 +27,9 @@ fn both(dir: &Path) -> [String; 2] {
 fn simulated(dir: &Path) -> [String; 2] {
     ["json", "columns"].map(|raw| {
         let (config, out) = (dir.join(format!("{raw}.toml")), dir.join(format!("{raw}.mcap")));
-        let text = format!("[site]\nprefix = \"area2\"\n[window]\nhop_s = 600.0\nmax_points = 400\n[recording]\nraw = \"{raw}\"\n");
+        let text = format!(
+            "[site]\nprefix = \"area2\"\n[window]\nhop_s = 600.0\nmax_points = 400\n[recording]\nraw = \"{raw}\"\n"
+        );
         let scenario = fs::read_to_string("recordings/scenarios/four-loops.toml").unwrap();
         let prefix = scenario.split("prefix = \"").nth(1).unwrap().split('"').next().unwrap();
         fs::write(&config, text.replace("area2", prefix)).unwrap();

@@ -86,7 +86,7 @@ fn a_diagnosis_that_nobody_asked_for_is_offered_the_loop_upstream_and_names_it()
     let settings =
         format!("[gap]\nbudget_evaluations = 3000\n[[loop]]\nname = \"{TARGET}\"\nupstream = [\"{DRIVER}\"]\n");
     let loops = vec![wired(DRIVER, 18.0, None, 1), wired(TARGET, 10.0, Some((0, 0.8)), 2)];
-    let mut site = Site::start(dir.path(), &settings, loops);
+    let mut site = Site::start(dir.path(), ["", &settings], loops);
     // The loop's own model is known by the time that the valve upstream begins to stick.
     let plan: [Work; 2] = [(0, TARGET, STICKS), (7, DRIVER, STICKS)];
     let gaps: Vec<Value> = (0..12).flat_map(|hop| site.hop(hop, &plan).gaps).collect();

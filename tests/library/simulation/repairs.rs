@@ -104,10 +104,10 @@ pub struct Site {
 }
 
 impl Site {
-    /// `settings` come after those of site, windows and alarms.
-    pub fn start(dir: &Path, settings: &str, loops: Vec<Wired>) -> Self {
+    /// `windows` come after the hop, `settings` after those of site, windows and alarms.
+    pub fn start(dir: &Path, [windows, settings]: [&str; 2], loops: Vec<Wired>) -> Self {
         let text = format!(
-            "[site]\nprefix = \"p\"\n[window]\nhop_s = {HOP_S}.0\nmax_points = 600\n[alarm]\nraise = [2, 2]\n\
+            "[site]\nprefix = \"p\"\n[window]\nhop_s = {HOP_S}.0\n{windows}[alarm]\nraise = [2, 2]\n\
              [recording]\ndir = {:?}\n{settings}",
             dir.to_str().unwrap()
         );
@@ -207,7 +207,7 @@ fn groups_come_and_go_with_the_valves_that_stick_and_no_healthy_loop_has_an_alar
         wired("B3", 20.0, Some((3, -0.9)), 7),
         wired("C1", 18.0, None, 8),
     ];
-    let mut site = Site::start(dir.path(), "[gap]\nenabled = false\n", loops);
+    let mut site = Site::start(dir.path(), ["max_points = 600\n", "[gap]\nenabled = false\n"], loops);
     let rounds = if std::env::var_os("STICTIOND_LONG").is_some() { 3 } else { 1 };
     let plan = plan(rounds);
     for round in 0..rounds {
