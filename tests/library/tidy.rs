@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates of the workspace.
-pub const CRATES: [&str; 6] = [
+const CRATES: [&str; 6] = [
     "src",
     "crates/stiction/src",
     "crates/stiction-engine/src",
@@ -20,15 +20,12 @@ pub const CRATES: [&str; 6] = [
 /// Longest source file, lines.
 const MAX_LINES: usize = 600;
 
-pub struct Source {
+struct Source {
     /// One of [`CRATES`].
     home: &'static str,
     /// Path below it, with `/`.
-    pub path: String,
-    /// As it stands.
+    path: String,
     text: String,
-    /// Without comments, texts in quotes, and test items.
-    pub code: String,
 }
 
 impl Source {
@@ -58,131 +55,18 @@ fn files_below(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Every source file but those that are tests as a whole (`#[cfg(test)] mod name;`).
-fn sources() -> Vec<Source> {
-    CRATES.into_iter().flat_map(sources_of).collect()
-}
-
-pub fn sources_of(home: &'static str) -> Vec<Source> {
+/// Every source file of a crate but those that are tests as a whole.
+fn sources_of(home: &'static str) -> Vec<Source> {
     let src = root().join(home);
     let mut paths = Vec::new();
     files_below(&src, &mut paths);
     paths.sort();
-    let mut test_files = BTreeSet::new();
-    let mut all = Vec::new();
-    for path in paths {
-        let text = fs::read_to_string(&path).unwrap();
-        let bare = without_comments_and_texts(&text);
-        let (code, test_modules) = without_tests(&bare);
-        let folder = path.parent().unwrap();
-        let own = if path.file_name().unwrap() == "mod.rs" || folder == src {
-            folder.to_owned()
-        } else {
-            path.with_extension("")
-        };
-        test_files.extend(test_modules.iter().map(|m| own.join(format!("{m}.rs"))));
-        let relative = path.strip_prefix(&src).unwrap().to_str().unwrap().replace('\\', "/");
-        all.push((path, Source { home, path: relative, text, code }));
-    }
+    let below = paths.iter().map(|path| (path, path.strip_prefix(&src).unwrap().to_str().unwrap().replace('\\', "/")));
+    let code = below.filter(|(_, path)| !path.ends_with("tests.rs") && !path.contains("tests/"));
+    let all: Vec<Source> =
+        code.map(|(file, path)| Source { home, path, text: fs::read_to_string(file).unwrap() }).collect();
     assert!(all.len() > 3, "{home} was not found");
-    all.into_iter().filter(|(path, _)| !test_files.contains(path)).map(|(_, source)| source).collect()
-}
-
-/// Blanks comments and the insides of texts, keeping line breaks.
-fn without_comments_and_texts(text: &str) -> String {
-    let chars: Vec<char> = text.chars().collect();
-    let mut out = String::with_capacity(text.len());
-    let mut at = 0;
-    let starts = |at: usize, with: &str| chars[at..].iter().take(with.len()).copied().eq(with.chars());
-    while at < chars.len() {
-        if starts(at, "//") {
-            while at < chars.len() && chars[at] != '\n' {
-                at += 1;
-            }
-        } else if starts(at, "/*") {
-            while at < chars.len() && !starts(at, "*/") {
-                if chars[at] == '\n' {
-                    out.push('\n');
-                }
-                at += 1;
-            }
-            at += 2;
-        } else if chars[at] == 'r' && (starts(at, "r\"") || starts(at, "r#")) && !is_word(chars.get(at.wrapping_sub(1)))
-        {
-            let hashes = chars[at + 1..].iter().take_while(|c| **c == '#').count();
-            if chars.get(at + 1 + hashes) != Some(&'"') {
-                out.push('r');
-                at += 1;
-                continue;
-            }
-            let end = format!("\"{}", "#".repeat(hashes));
-            at += 2 + hashes;
-            while at < chars.len() && !starts(at, &end) {
-                at += 1;
-            }
-            at += end.len();
-            out.push_str("\"\"");
-        } else if chars[at] == '"' {
-            at += 1;
-            while at < chars.len() && chars[at] != '"' {
-                at += if chars[at] == '\\' { 2 } else { 1 };
-            }
-            at += 1;
-            out.push_str("\"\"");
-        } else if starts(at, "'\\") || (chars[at] == '\'' && chars.get(at + 2) == Some(&'\'')) {
-            at += 2;
-            while at < chars.len() && chars[at] != '\'' {
-                at += 1;
-            }
-            at += 1;
-            out.push_str("' '");
-        } else {
-            out.push(chars[at]);
-            at += 1;
-        }
-    }
-    out
-}
-
-fn is_word(c: Option<&char>) -> bool {
-    c.is_some_and(|c| c.is_alphanumeric() || *c == '_')
-}
-
-/// Takes out items behind `#[cfg(test)]`; names the modules among them that are files of their own.
-fn without_tests(code: &str) -> (String, Vec<String>) {
-    const MARK: &str = "#[cfg(test)]";
-    let (mut out, mut modules) = (String::new(), Vec::new());
-    let mut rest = code;
-    while let Some(at) = rest.find(MARK) {
-        out.push_str(&rest[..at]);
-        let item = &rest[at + MARK.len()..];
-        let end = item.find(['{', ';']).unwrap();
-        if item[end..].starts_with(';') {
-            let declared = item[..end].trim();
-            let declared = declared.strip_prefix("pub(crate) ").unwrap_or(declared);
-            if let Some(name) = declared.strip_prefix("mod ") {
-                modules.push(name.to_owned());
-            }
-            rest = &item[end + 1..];
-            continue;
-        }
-        let mut depth = 0;
-        let close = item.char_indices().skip_while(|(i, _)| *i < end).find(|(_, c)| {
-            depth += i32::from(*c == '{') - i32::from(*c == '}');
-            depth == 0
-        });
-        rest = &item[close.unwrap().0 + 1..];
-    }
-    out.push_str(rest);
-    (out, modules)
-}
-
-/// Lines on which a text stands as a path of its own, not as the end of a longer word.
-fn places<'a>(code: &'a str, wanted: &'a str) -> impl Iterator<Item = usize> + 'a {
-    code.match_indices(wanted).filter_map(move |(at, _)| {
-        let before = code[..at].chars().next_back();
-        (!is_word(before.as_ref())).then(|| code[..at].matches('\n').count() + 1)
-    })
+    all
 }
 
 fn fail_on(faults: &[String]) {
@@ -197,7 +81,9 @@ fn the_challenge_does_not_see_the_diagnosis() {
     assert!(!challenge.is_empty());
     let mut faults = Vec::new();
     for source in challenge {
-        faults.extend(places(&source.code, "gap::").map(|line| format!("{}: line {line}: gap::", source.place())));
+        let code = source.text.lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with("//"));
+        let named = code.filter(|(_, line)| line.contains("gap::"));
+        faults.extend(named.map(|(at, _)| format!("{}: line {}: gap::", source.place(), at + 1)));
     }
     fail_on(&faults);
 }
@@ -246,7 +132,8 @@ fn files_are_short_and_say_what_they_are_for() {
 fn nothing_is_left_open_and_no_machine_is_named() {
     let machine = ["work", "root", "tmp", "home"].map(|folder| format!("/{folder}/"));
     let open = ["TO-DO", "FIX-ME", "XX-X", "todo-!", "unimple-mented!"].map(|word| word.replace('-', ""));
-    let mut texts: Vec<(String, String)> = sources().into_iter().map(|s| (s.place(), s.text)).collect();
+    let mut texts: Vec<(String, String)> =
+        CRATES.into_iter().flat_map(sources_of).map(|s| (s.place(), s.text)).collect();
     for name in ["CHANGELOG.md", "SECURITY.md", "config/monitor.toml", "recordings/README.md"] {
         texts.push((name.to_owned(), fs::read_to_string(root().join(name)).unwrap()));
     }
