@@ -8,8 +8,8 @@ use serde_json::json;
 use crate::cli::{Format, Outcome, say};
 use crate::daemon::sink::deliver;
 use crate::daemon::source::zenoh::session_config;
-use crate::web::guard_of;
-use stiction_engine::config::{Config, Fault};
+use crate::web::{time_zone_of, token_of};
+use stiction_engine::config::{Config, Fault, Places};
 
 /// Check a configuration, the files it names and the recording folder; list every fault with line and remedy.
 #[derive(Debug, clap::Args)]
@@ -51,51 +51,32 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 
 /// Faults in the files and folders that a valid configuration names.
 fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
-    let mut faults = Vec::new();
+    let (mut faults, places) = (Vec::new(), Places::of(text));
     let mut refuse = |section: &str, key: &str, message: String, remedy: &str| {
-        let (line, key) = (line_of(text, section, key), format!("{section}.{key}"));
+        let (line, key) = (places.line_of(section, key), format!("{section}.{key}"));
         faults.push(Fault { line, key, message, remedy: remedy.to_owned() });
     };
     if let Err(error) = session_config(config) {
         let key = if config.zenoh.config_file.is_empty() { "connect" } else { "config_file" };
         refuse("zenoh", key, error.to_string(), "name a readable Zenoh configuration file (JSON5)");
     }
-    if let Err(error) = guard_of(&config.web.page) {
-        let about = format!("{error:#}");
-        let key = if about.contains("token_file") { "token_file" } else { "time_zone" };
-        refuse("web", key, about, "see docs/page.md");
+    if let Err(error) = time_zone_of(&config.web.page) {
+        refuse("web", "time_zone", format!("{error:#}"), "see docs/page.md");
+    }
+    if let Err(error) = token_of(&config.web.page) {
+        refuse("web", "token_file", format!("{error:#}"), "see docs/page.md");
     }
     if let Err(why) = can_be_written(Path::new(&config.recording.dir)) {
         refuse("recording", "dir", why, "name a folder that this user may write to or create");
     }
     for d in &config.deliver {
         if let Err(error) = deliver::check(d) {
-            let (line, key) = (line_of_name(text, &d.name), format!("deliver.{}", d.name));
+            let (line, key) = (places.line_of_entry("deliver", &d.name), format!("deliver.{}", d.name));
             let remedy = "name a readable file".to_owned();
             faults.push(Fault { line, key, message: format!("{error:#}"), remedy });
         }
     }
     faults
-}
-
-/// The line that names this table entry, or line 1.
-fn line_of_name(text: &str, name: &str) -> usize {
-    let named = |line: &str| line.trim_start().starts_with("name") && line.contains(&format!("\"{name}\""));
-    text.lines().position(named).map_or(1, |at| at + 1)
-}
-
-/// The line of a key in its table, else of the table's header, else line 1.
-fn line_of(text: &str, section: &str, key: &str) -> usize {
-    let (mut inside, mut head) = (false, 1);
-    for (at, line) in text.lines().map(str::trim_start).enumerate() {
-        if line.starts_with('[') {
-            inside = line.starts_with(&format!("[{section}]"));
-            head = if inside { at + 1 } else { head };
-        } else if inside && line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with('=')) {
-            return at + 1;
-        }
-    }
-    head
 }
 
 /// Checks whether a folder is writable or can be created, without writing.

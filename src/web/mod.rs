@@ -61,24 +61,40 @@ struct Shared {
 /// # Errors
 /// The token's file cannot be read or has no token in it; the time zone is not known.
 pub fn guard_of(page: &Page) -> anyhow::Result<Guard> {
-    let zone = &page.time_zone;
-    jiff::tz::TimeZone::get(zone)
-        .with_context(|| format!("[web] time_zone {zone:?}: write a name such as Europe/Berlin"))?;
-    let mut token = None;
-    if !page.token_file.is_empty() {
-        let path = Path::new(&page.token_file);
-        let text = std::fs::read_to_string(path).with_context(|| format!("[web] token_file {:?}", page.token_file))?;
-        let text = text.trim();
-        ensure!(
-            text.len() >= MIN_TOKEN && !text.contains(char::is_whitespace),
-            "[web] token_file {:?}: write one word of at least {MIN_TOKEN} characters, such as `openssl rand -hex 24` gives",
-            page.token_file
-        );
-        token = Some(text.to_owned());
-    }
+    time_zone_of(page)?;
+    let token = token_of(page)?;
     let mut hosts = page.hosts.clone();
     hosts.extend(machine_name());
     Ok(Guard::new(hosts, token, page.behind_proxy))
+}
+
+/// The time zone that the page shows times in.
+///
+/// # Errors
+/// It is not known.
+pub fn time_zone_of(page: &Page) -> anyhow::Result<jiff::tz::TimeZone> {
+    let zone = &page.time_zone;
+    jiff::tz::TimeZone::get(zone)
+        .with_context(|| format!("[web] time_zone {zone:?}: write a name such as Europe/Berlin"))
+}
+
+/// The token that the page asks for; `None` where it asks for none.
+///
+/// # Errors
+/// The token's file cannot be read or has no token in it.
+pub fn token_of(page: &Page) -> anyhow::Result<Option<String>> {
+    if page.token_file.is_empty() {
+        return Ok(None);
+    }
+    let path = Path::new(&page.token_file);
+    let text = std::fs::read_to_string(path).with_context(|| format!("[web] token_file {:?}", page.token_file))?;
+    let text = text.trim();
+    ensure!(
+        text.len() >= MIN_TOKEN && !text.contains(char::is_whitespace),
+        "[web] token_file {:?}: write one word of at least {MIN_TOKEN} characters, such as `openssl rand -hex 24` gives",
+        page.token_file
+    );
+    Ok(Some(text.to_owned()))
 }
 
 /// Name of this machine in its network.

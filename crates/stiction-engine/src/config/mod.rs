@@ -20,7 +20,7 @@ pub use changes::{ChangedLoop, ConfigChanges};
 pub use deliver::{Address, Deliver};
 pub use input::Input;
 pub use loops::{Action, setting_of};
-pub use reader::Fault;
+pub use reader::{Fault, Places};
 use reader::{Lines, TableReader, subtable, syntax_fault};
 pub use scale::{Daemon, is_id};
 pub use service::{Commands, Plant, Retention, Summary, VerdictParams};

@@ -53,6 +53,37 @@ pub(crate) fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
 /// Keys that had another name before anything was released.
 const RENAMED: [(&str, &str); 1] = [("mv", "position")];
 
+/// The lines of keys in a text that was read before.
+pub struct Places<'t> {
+    lines: Lines,
+    root: Option<Spanned<DeTable<'t>>>,
+}
+
+impl<'t> Places<'t> {
+    /// The keys of a TOML text; none of one that is not TOML.
+    #[must_use]
+    pub fn of(text: &'t str) -> Self {
+        Self { lines: Lines::new(text), root: DeTable::parse(text).ok() }
+    }
+
+    /// The line of a key in its table, else of the table, else line 1.
+    #[must_use]
+    pub fn line_of(&self, section: &str, key: &str) -> usize {
+        let Some(table) = self.root.as_ref().and_then(|root| root.get_ref().get(section)) else { return 1 };
+        let value = table.get_ref().as_table().and_then(|table| table.get(key));
+        self.lines.of(value.unwrap_or(table).span().start)
+    }
+
+    /// The line of the name of an entry of `[[section]]`, else line 1.
+    #[must_use]
+    pub fn line_of_entry(&self, section: &str, name: &str) -> usize {
+        let entries = self.root.as_ref().and_then(|root| root.get_ref().get(section)?.get_ref().as_array());
+        let names = entries.into_iter().flat_map(|a| a.iter()).filter_map(|e| e.get_ref().as_table()?.get("name"));
+        let mut named = names.filter(|value| value.get_ref().as_str() == Some(name));
+        named.next().map_or(1, |value| self.lines.of(value.span().start))
+    }
+}
+
 /// A table being read: each requested key is known; any other is a fault when the table is closed.
 pub(crate) struct TableReader<'a, 'i> {
     lines: &'a Lines,
