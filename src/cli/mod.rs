@@ -77,7 +77,7 @@ pub struct OutputArgs {
 ///
 /// # Errors
 /// There is no command to run.
-pub fn parse<C: Parser>() -> Result<C, ExitCode> {
+fn parse<C: Parser>() -> Result<C, ExitCode> {
     C::try_parse().map_err(|error| {
         let asked = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
         let _ = error.print();
@@ -85,8 +85,23 @@ pub fn parse<C: Parser>() -> Result<C, ExitCode> {
     })
 }
 
+/// A program: reads its command line, starts its log in the form and with the levels that `log_of` gives, and runs.
+pub fn main_of<C: Parser>(
+    program: &str,
+    log_of: impl FnOnce(&C) -> (Format, &'static str),
+    run: impl FnOnce(&C) -> anyhow::Result<Outcome>,
+) -> ExitCode {
+    let cli: C = match parse() {
+        Ok(cli) => cli,
+        Err(code) => return code,
+    };
+    let (form, levels) = log_of(&cli);
+    log::start(form, levels);
+    exit_code(program, run(&cli))
+}
+
 /// Prints why a command failed, and gives the exit code.
-pub fn exit_code(program: &str, ended: anyhow::Result<Outcome>) -> ExitCode {
+fn exit_code(program: &str, ended: anyhow::Result<Outcome>) -> ExitCode {
     let outcome = ended.unwrap_or_else(|error| {
         // A reader that closes our output early (`| head`) is no failure.
         let pipe = error.chain().filter_map(|e| e.downcast_ref::<std::io::Error>());

@@ -30,7 +30,7 @@ pub mod workbench;
 
 use std::process::ExitCode;
 
-use crate::cli::{Format, Outcome, OutputArgs, exit_code, log, parse};
+use crate::cli::{Format, Outcome, OutputArgs, main_of};
 use clap::{Parser, Subcommand};
 
 /// Find sticking control valves in loop data, live or recorded, with probability, size and interval.
@@ -75,37 +75,32 @@ enum CommandArgs {
 /// Reads the command line and runs one command.
 #[must_use]
 pub fn main() -> ExitCode {
-    let cli: Cli = match parse() {
-        Ok(cli) => cli,
-        Err(code) => return code,
-    };
-    log::start(cli.output.log, cli.default_filter());
-    exit_code("stictiond", dispatch(cli))
+    main_of("stictiond", |cli: &Cli| (cli.output.log, cli.default_filter()), dispatch)
 }
 
-fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
+fn dispatch(cli: &Cli) -> anyhow::Result<Outcome> {
     let format = cli.output.format;
-    match cli.command {
-        CommandArgs::Run(args) => run::run(&args),
-        CommandArgs::Demo(args) => demo::run(&args, format),
-        CommandArgs::Play(args) => play::run(&args, format),
-        CommandArgs::Replay(args) => replay::run(&args, format),
-        CommandArgs::Analyze(args) => analyze::run(&args, format),
-        CommandArgs::Gap(args) => gap::run(&args, format),
-        CommandArgs::Workbench(args) => workbench::run(&args, format),
-        CommandArgs::Simulate(args) => simulate::run(&args, format),
-        CommandArgs::Compact(args) => compact::run(&args, format),
-        CommandArgs::Convert(args) => convert::run(&args, format),
-        CommandArgs::Check(args) => check::run(&args, format),
-        CommandArgs::Test(args) => test::run(&args, format),
-        CommandArgs::Discover(args) => discover::run(&args, format),
-        CommandArgs::Info(args) => info::run(&args, format),
-        CommandArgs::Recover(args) => recover::run(&args, format),
-        CommandArgs::Schema(args) => schema::run(&args),
+    match &cli.command {
+        CommandArgs::Run(args) => run::run(args),
+        CommandArgs::Demo(args) => demo::run(args, format),
+        CommandArgs::Play(args) => play::run(args, format),
+        CommandArgs::Replay(args) => replay::run(args, format),
+        CommandArgs::Analyze(args) => analyze::run(args, format),
+        CommandArgs::Gap(args) => gap::run(args, format),
+        CommandArgs::Workbench(args) => workbench::run(args, format),
+        CommandArgs::Simulate(args) => simulate::run(args, format),
+        CommandArgs::Compact(args) => compact::run(args, format),
+        CommandArgs::Convert(args) => convert::run(args, format),
+        CommandArgs::Check(args) => check::run(args, format),
+        CommandArgs::Test(args) => test::run(args, format),
+        CommandArgs::Discover(args) => discover::run(args, format),
+        CommandArgs::Info(args) => info::run(args, format),
+        CommandArgs::Recover(args) => recover::run(args, format),
+        CommandArgs::Schema(args) => schema::run(args),
         #[cfg(feature = "manual")]
-        CommandArgs::Manual(args) => manual::run(&args, format),
+        CommandArgs::Manual(args) => manual::run(args, format),
         #[cfg(feature = "manual")]
-        CommandArgs::Completions(args) => completions::run(&args),
+        CommandArgs::Completions(args) => completions::run(args),
     }
 }
 

@@ -15,7 +15,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use stictiond::cli::UsageError;
 #[cfg(feature = "manual")]
 use stictiond::cli::manual::{self, ManualArgs, Shell};
-use stictiond::cli::{Outcome, OutputArgs, exit_code, log, parse, print};
+use stictiond::cli::{Outcome, OutputArgs, main_of, print};
 
 /// Bring another system's data onto the bus. Bridges only read from the other system.
 ///
@@ -64,13 +64,9 @@ struct Absent {
 
 /// Reads the command line and runs one bridge.
 fn main() -> ExitCode {
-    let cli: Cli = match parse() {
-        Ok(cli) => cli,
-        Err(code) => return code,
-    };
     // The bridge itself logs outages, which the OPC UA client would log at every attempt.
-    log::start(cli.output.log, "info,zenoh=warn,zenoh::net::runtime::orchestrator=error,opcua=off");
-    exit_code("stictiond-bridge", run(&cli))
+    let levels = "info,zenoh=warn,zenoh::net::runtime::orchestrator=error,opcua=off";
+    main_of("stictiond-bridge", |cli: &Cli| (cli.output.log, levels), run)
 }
 
 fn run(cli: &Cli) -> anyhow::Result<Outcome> {

@@ -15,7 +15,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use stiction_engine::provenance;
-use stictiond::cli::{Outcome, OutputArgs, exit_code, log, of_build, parse};
+use stictiond::cli::{Outcome, OutputArgs, main_of, of_build};
 
 /// Check the gap diagnosis on withheld causes, and calibrate the classifier, the intervals and the rules for plants.
 ///
@@ -43,12 +43,7 @@ enum Command {
 
 /// Reads the command line and runs one command.
 fn main() -> ExitCode {
-    let cli: Cli = match parse() {
-        Ok(cli) => cli,
-        Err(code) => return code,
-    };
-    log::start(cli.output.log, "info");
-    exit_code("stiction-lab", run(&cli))
+    main_of("stiction-lab", |cli: &Cli| (cli.output.log, "info"), run)
 }
 
 fn run(cli: &Cli) -> anyhow::Result<Outcome> {
