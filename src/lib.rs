@@ -20,10 +20,10 @@
 //! | `stictiond-bridge` | the program of that name: MQTT and OPC UA onto the bus |
 //!
 //! # One sample's way
-//! `daemon::source::zenoh` (callback, bounded queue) → `daemon::core` (route, decode, record) →
+//! `daemon::source::zenoh` (callback, bounded queue) → `daemon::engine_thread` (router, limits, recorder) →
 //! [`stiction_engine::engine::Engine::push`] → [`stiction::core::signal::align`] (joined by source time) →
 //! [`stiction::core::signal::history`] (bounded memory) → a due window → `daemon::schedule` (in turn) → `daemon::worker` →
-//! [`stiction::core::verdict::assess`] → [`stiction_engine::alarm`] → `sink::zenoh`, `sink::recorder` and `sink::keeper`.
+//! [`stiction::core::verdict::assess`] → [`stiction_engine::alarm`] → `sink::zenoh`, `sink::recorder` and `sink::state_writer`.
 
 pub mod cli;
 pub mod commands;

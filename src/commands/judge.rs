@@ -9,8 +9,8 @@ use serde_json::{Value, json};
 use crate::cli::reading::config_file;
 use crate::cli::{Format, Outcome, say};
 use crate::daemon::received;
+use crate::daemon::replay::parallel::ParallelReplay;
 use crate::daemon::replay::{Output, chains_of};
-use crate::daemon::rerun::Rerun;
 use stiction::core::units::format_rfc3339;
 use stiction::core::verdict::Assessment;
 use stiction_engine::alarm::why_not_active;
@@ -60,11 +60,13 @@ pub(super) fn run(input: &Path, config: &Path, format: Format) -> anyhow::Result
     let (_, other) = config_file(config)?;
     let files: Vec<PathBuf> = chains_of(input)?.into_iter().flatten().collect();
     let (mut loops, mut recorded, mut cut) = (BTreeMap::<String, Compared>::new(), None::<Config>, false);
-    let mut sides: Option<[Rerun; 2]> = None;
+    let mut sides: Option<[ParallelReplay; 2]> = None;
     for path in &files {
         let own = RunMetadata::of(path, RecordingReader::open(path)?.metadata())?;
         let first = sides.is_none();
-        let sides = sides.get_or_insert_with(|| [Rerun::judging(&own.config, false), Rerun::judging(&other, true)]);
+        let sides = sides.get_or_insert_with(|| {
+            [ParallelReplay::judging(&own.config, false), ParallelReplay::judging(&other, true)]
+        });
         for (side, after) in sides.iter_mut().zip([false, true]) {
             let report = side.file(path, &own.prefix, first, false).with_context(|| path.display().to_string())?;
             if let Some(reason) = report.cut.filter(|_| after) {

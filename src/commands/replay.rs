@@ -6,8 +6,8 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use crate::cli::{Format, Outcome, block_on, say};
+use crate::daemon::replay::parallel::{FileReport, ParallelReplay};
 use crate::daemon::replay::{Output, chains_of, files_before};
-use crate::daemon::rerun::{FileReport, Rerun};
 use crate::daemon::source::zenoh as bus;
 use stiction::core::units::probability;
 use stiction_engine::codec::topic::{self, Kind};
@@ -115,7 +115,7 @@ fn replay_chain(
     let Some(first) = chain.first() else { return Ok(None) };
     let own = metadata_of(first)?;
     let before = files_before(chain)?;
-    let mut replay = Rerun::new(&own.config, own.daemon.as_deref(), !own.has_results);
+    let mut replay = ParallelReplay::new(&own.config, own.daemon.as_deref(), !own.has_results);
     let mut fresh = true;
     for path in before.iter().chain(chain) {
         let metadata = metadata_of(path)?;

@@ -54,7 +54,7 @@ fn mapped(config: &Config) -> Mapped {
     mapped
 }
 
-/// What is known of bundles.
+/// Bundles by the keys that carry them.
 #[derive(Debug)]
 pub struct Bundles {
     prefix: String,

@@ -78,10 +78,11 @@ impl CommandPolicy {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use stiction_engine::alarm::AlarmAction;
 
     #[test]
     fn names_rates_and_the_switch_are_held() {
-        let ack = |by: &str| Command { cmd: "ack".into(), by: Some(by.into()), why: None, for_s: None };
+        let ack = |by: &str| Command { action: AlarmAction::Ack, by: Some(by.into()), why: None, for_s: None };
         let mut policy = CommandPolicy::new(&Commands { per_minute: 60, runs_per_hour: 5, ..Commands::default() });
         let taken = |policy: &mut CommandPolicy, at_s: u64| policy.command(Duration::from_secs(at_s)).is_ok();
         assert_eq!((0..100).filter(|_| taken(&mut policy, 0)).count(), 30);

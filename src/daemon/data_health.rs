@@ -11,7 +11,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use super::to_json;
 use crate::daemon::sink::deliver::{Item, Outbox};
-use crate::daemon::sink::keeper::Notes;
+use crate::daemon::sink::state_writer::Notes;
 use crate::daemon::sink::zenoh::{Publication, Publisher};
 use crate::runtime::clock::Clock;
 use crate::runtime::data_health::{DataHealthDocument, Due};
@@ -27,7 +27,7 @@ const POINT_EVERY_S: f64 = 3600.0;
 /// Pause between two looks, s, at most.
 const LOOK_EVERY_S: f64 = 60.0;
 
-/// What the worker needs.
+/// Inputs of the worker.
 pub(super) struct DataHealthParts {
     /// The configuration in force.
     pub config: CurrentConfig,

@@ -43,7 +43,7 @@ pub fn schemas() -> Vec<(&'static str, Value)> {
     ]
 }
 
-/// The schema of one document, as it stands in `docs/schemas`.
+/// The schema of one document, as in `docs/schemas`.
 #[must_use]
 pub fn text(schema: &Value) -> String {
     serde_json::to_string_pretty(schema).unwrap_or_default() + "\n"
@@ -75,13 +75,13 @@ mod tests {
         assert!(schemas().iter().all(|(name, schema)| schema["properties"]["schema"]["const"] == *name));
     }
 
-    /// `docs/schemas` holds what this build makes; STICTIOND_GOLDEN=write makes it anew.
+    /// `docs/schemas` equals the schemas of this build; STICTIOND_GOLDEN=write rewrites it.
     #[test]
     fn the_kept_schemas_are_those_of_the_types() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/schemas");
         for (name, schema) in schemas() {
             let path = folder.join(format!("{name}.json"));
-            if std::env::var("STICTIOND_GOLDEN").is_ok_and(|wish| wish == "write") {
+            if std::env::var("STICTIOND_GOLDEN").is_ok_and(|mode| mode == "write") {
                 std::fs::create_dir_all(&folder).unwrap();
                 std::fs::write(&path, text(&schema)).unwrap();
             }

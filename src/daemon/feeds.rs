@@ -26,9 +26,9 @@ const MESSAGES: u32 = 3;
 const IN_TURN: u8 = 3;
 /// Usual intervals after which such times are forgotten.
 const FORGOTTEN: f64 = 1000.0;
-/// The usual interval follows new ones by one part in so many.
+/// Weight of a new interval in the usual one: one part in this many.
 const FOLLOW: f64 = 8.0;
-/// An interval longer than so many usual ones counts as that long: a night without data is no new pace.
+/// Longer intervals count as this many usual ones: a night without data is no new pace.
 const LONGEST: f64 = 4.0;
 /// Messages of a third source after which it waits in place of a second one that is silent.
 const QUEUED: u32 = 20;

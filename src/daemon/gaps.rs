@@ -1,4 +1,4 @@
-//! Gap diagnoses at the lowest priority: one thread of their own, a bounded queue, answers by channel.
+//! Gap diagnoses on one thread of the lowest priority, with a bounded queue; answers come by channel.
 //!
 //! The thread touches none of the estimates' workers. It begins, and between the rounds of its search goes on, only
 //! while no window waits for a worker; on Linux it is also the last that the system gives a core to. What waits too long
@@ -162,7 +162,7 @@ impl Executor for Gate<'_> {
     }
 }
 
-/// Ends a search where its live run was ended, at so many evaluations; else never.
+/// Ends a search after as many evaluations as its live run had; else never.
 #[derive(Debug, Clone, Copy)]
 pub struct Until(pub Option<u64>);
 

@@ -1,6 +1,6 @@
 //! What one publisher may take from all: samples a second of a key, stamps ahead of the others, new loops an hour.
 //!
-//! It stands in front of the recorder: what is refused here never happened to the engine, so replay need not know of it.
+//! They come before the recorder: the engine never sees what is refused here, so replay need not know of it.
 //! Whatever is refused is counted, and named among the faults while it lasts.
 
 use std::time::Duration;

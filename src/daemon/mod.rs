@@ -16,20 +16,16 @@
 pub mod asyncapi;
 mod bundles;
 pub mod command_policy;
-mod core;
 mod data_health;
 pub mod documents;
+mod engine_thread;
 mod feeds;
 pub mod gaps;
 mod limits;
 pub mod plant;
 pub mod received;
-mod refill;
 mod reload;
 pub mod replay;
-mod replay_plant;
-pub mod rerun;
-pub mod restore;
 pub mod retention;
 mod routes;
 mod schedule;
@@ -40,6 +36,7 @@ pub mod sim_daemon;
 pub mod sink;
 pub mod source;
 mod start;
+pub mod startup_state;
 mod worker;
 
 use std::collections::BTreeMap;
@@ -56,16 +53,16 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
 use zenoh::query::Queryable;
 
-pub use self::core::to_json;
-use self::core::{Core, Parts, tell_system};
+pub use self::engine_thread::to_json;
+use self::engine_thread::{EngineThread, Parts, notify_system};
 use self::gaps::Diagnoser;
 use self::plant::Comparer;
-use self::refill::Refilled;
 pub use self::reload::ConfigFile;
 use self::reload::{Reload, ReloadParts};
-use self::rerun::LastSeen;
-use self::restore::Memories;
+use self::replay::parallel::LastSeen;
 use self::start::{Opened, Shared, Sinks};
+use self::startup_state::memory::Memories;
+use self::startup_state::windows::Refilled;
 use crate::daemon::sink::recorder::{RecordedConfig, RunInfo};
 use crate::daemon::source::askers::Askers;
 use crate::daemon::source::queries::Queries;
@@ -121,7 +118,7 @@ pub async fn run(
     tokio::pin!(stop);
     let Some(lock) = start::lock(&shared, &mut stop).await? else { return Ok(()) };
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
-    let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
+    let (control, requests) = crossbeam_channel::bounded(CONTROL_QUEUE);
     let view = shared.view(options.origin, control.clone());
     let serving = (options.serve)(view, metrics.registry());
     let Some(server) = start::unless_stopped(serving, pending(), &mut stop).await else { return Ok(()) };
@@ -148,7 +145,7 @@ pub async fn run(
     let askers = Askers::new(&config.commands);
     let on = (&session, daemon_id.as_str());
     let queryables = answer_queries(&config, &shared, &askers, &control, on).await?;
-    let Sinks { recorder, keeper, publisher, outbox, stops } = sinks;
+    let Sinks { recorder, state_writer, publisher, outbox, stops } = sinks;
     let progress = recorder.progress();
     let parts = Parts {
         engine: engine.of_daemon(&daemon_id),
@@ -158,7 +155,7 @@ pub async fn run(
         diagnoser,
         comparer,
         recorder: Some(recorder),
-        keeper,
+        state_writer,
         publisher,
         outbox,
         metrics: metrics.clone(),
@@ -169,11 +166,11 @@ pub async fn run(
         clock: Clock::system(),
         health_every: options.health_every,
     };
-    let (stop_core, engine_thread) = start_engine(parts, (memories, last), incoming, wishes)?;
+    let (stop_engine, engine_thread) = start_engine(parts, (memories, last), incoming, requests)?;
     threads.insert(0, ("engine", engine_thread));
     let presence = Presence::show(&session, &config, &daemon_id, deaf, &shared).await?;
-    presence.tell(&config, &daemon_id, server.address, &shared.recordings);
-    tell_system(&[NotifyState::Ready]);
+    presence.announce(&config, &daemon_id, server.address, &shared.recordings);
+    notify_system(&[NotifyState::Ready]);
     let (file, current, faults) = (options.config_file, shared.current.clone(), faults.clone());
     let mut reload =
         Reload::new(ReloadParts { file, current, control: control.clone(), askers, subscriptions, faults });
@@ -182,12 +179,12 @@ pub async fn run(
         name = shutdown::unasked_end(&threads) => Some(name),
     };
     tracing::info!("stopping");
-    tell_system(&[NotifyState::Stopping]);
+    notify_system(&[NotifyState::Stopping]);
     presence.watching.iter().for_each(JoinHandle::abort);
     drop(control);
     reload.close().await;
     presence.end().await;
-    drop((stop_core, stops));
+    drop((stop_engine, stops));
     let ended = shutdown::join(threads, unasked, &progress).await;
     for queryable in queryables {
         let _ = queryable.undeclare().await;
@@ -203,13 +200,13 @@ fn start_engine(
     parts: Parts,
     (memories, last): (Memories, BTreeMap<String, LastSeen>),
     incoming: Receiver<Message>,
-    wishes: Receiver<Control>,
+    requests: Receiver<Control>,
 ) -> std::io::Result<(Sender<()>, std::thread::JoinHandle<()>)> {
     let (stop, stopping) = crossbeam_channel::bounded::<()>(0);
     let thread = std::thread::Builder::new().name("engine".into()).spawn(move || {
-        let mut core = Core::new(parts);
-        core.restore(memories, last);
-        core.run(&incoming, &wishes, &stopping);
+        let mut engine = EngineThread::new(parts);
+        engine.restore(memories, last);
+        engine.run(&incoming, &requests, &stopping);
     })?;
     Ok((stop, thread))
 }
@@ -267,7 +264,7 @@ impl Presence {
     }
 
     /// Writes to the log that the daemon watches, and where it can be reached.
-    fn tell(&self, config: &Config, daemon_id: &str, web: Option<SocketAddr>, recordings: &Path) {
+    fn announce(&self, config: &Config, daemon_id: &str, web: Option<SocketAddr>, recordings: &Path) {
         tracing::info!(
             prefix = config.site.prefix,
             daemon = daemon_id,

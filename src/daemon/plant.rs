@@ -1,4 +1,4 @@
-//! Compares the loops of a plant on a thread of its own, at low priority, one comparison after the other.
+//! Compares the loops of a plant on a low-priority thread, one comparison after the other.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use super::gaps::yield_to_all;
 use stiction::core::plantwide::GroupDocument;
 use stiction_engine::engine::{Comparison, Misplaced};
 
-/// What a comparison gave.
+/// Result of a comparison.
 #[derive(Debug)]
 pub struct Compared {
     /// What was compared.

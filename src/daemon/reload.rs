@@ -73,7 +73,7 @@ impl ConfigFile {
     }
 }
 
-/// Reads the file on a thread of its own, one at a time: a thread that hangs stays behind until the file answers.
+/// Reads the file on a separate thread, one at a time: a thread that hangs stays behind until the file answers.
 #[derive(Debug, Clone)]
 struct FileReader {
     file: ConfigFile,
@@ -168,10 +168,10 @@ impl Reload {
     }
 }
 
-/// Waits until the engine's queue has taken a wish, or the engine is gone.
-async fn hand_over(control: &Sender<Control>, mut wish: Control) {
-    while let Err(TrySendError::Full(refused)) = control.try_send(wish) {
-        wish = refused;
+/// Waits until the engine's queue has taken a request, or the engine is gone.
+async fn hand_over(control: &Sender<Control>, mut request: Control) {
+    while let Err(TrySendError::Full(refused)) = control.try_send(request) {
+        request = refused;
         tokio::time::sleep(AGAIN_AFTER).await;
     }
 }

@@ -1,4 +1,4 @@
-//! Looks after the recording folder, in a thread of its own at the lowest priority: takes out samples that are older or
+//! Looks after the recording folder on a thread of the lowest priority: takes out samples that are older or
 //! more than the retention allows, removes such results, reads every finished file once to see whether it is whole, and
 //! names what was put aside. It never touches the file in use, and logs and counts whatever it takes away.
 
@@ -12,8 +12,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, TryRecvError};
 
-use super::restore::{RunFile, is_recording, tell_aside};
-use crate::daemon::sink::keeper::Notes;
+use crate::daemon::sink::state_writer::Notes;
+use crate::daemon::startup_state::memory::{RunFile, is_recording, report_aside};
 use crate::runtime::clock::Clock;
 use crate::runtime::faults::Faults;
 use crate::runtime::metrics::Metrics;
@@ -39,7 +39,7 @@ const DAY_NS: i64 = 86_400_000_000_000;
 const MIN_FREE_BYTES: u64 = 10_000_000_000;
 const MIN_FREE_PART: u64 = 20;
 
-/// What the worker needs.
+/// Inputs of the worker.
 pub struct RetentionParts {
     /// The folder.
     pub dir: PathBuf,
@@ -109,7 +109,7 @@ pub fn start(parts: RetentionParts, stop: Receiver<()>) -> std::io::Result<JoinH
 /// The work without its thread: whoever holds it decides when it is done.
 pub struct RetentionWorker {
     parts: RetentionParts,
-    /// What was read of each file, by name, size and age.
+    /// Cached facts of each file, by name, size and age.
     known: HashMap<(PathBuf, u64, i64), Option<Kept>>,
     /// Files that were read to their end.
     checked: HashMap<PathBuf, FileStamp>,
@@ -139,7 +139,7 @@ impl RetentionWorker {
             Ok(false) => {}
             Err(error) => self.parts.faults.raise("lock", error.to_string()),
         }
-        tell_aside(&self.parts.dir, &self.parts.faults);
+        report_aside(&self.parts.dir, &self.parts.faults);
         let files = self.files();
         tell_room(&self.parts.dir, files.iter().map(|k| k.bytes).sum(), &self.parts.faults);
         let retention = self.parts.config.get().retention;
@@ -171,7 +171,7 @@ impl RetentionWorker {
             seen.insert(key, kept);
         }
         self.known = seen;
-        let key = |k: &Kept| (k.file.run_number, k.file.started_ns, k.file.shard, k.file.index);
+        let key = |k: &Kept| (k.file.run_number, k.file.started_ns, k.file.segment, k.file.index);
         files.sort_by_key(key);
         files
     }
@@ -221,7 +221,7 @@ impl RetentionWorker {
         }
     }
 
-    /// Finished files that were not read yet, newest first. What is known of files that are gone is dropped.
+    /// Finished files that were not read yet, newest first. Cached facts of files that are gone are dropped.
     fn unchecked(&mut self) -> Vec<PathBuf> {
         let files = self.files();
         let there: HashMap<&Path, FileStamp> =
@@ -287,7 +287,7 @@ fn tell_room(dir: &Path, recordings: u64, faults: &Faults) {
 #[cfg(not(target_os = "linux"))]
 fn tell_room(_dir: &Path, _recordings: u64, _faults: &Faults) {}
 
-/// What to say of a disk with so many bytes free of all, beside so many of recordings.
+/// The fault for a nearly full disk, by its free bytes, its size and the bytes of recordings; `None` while there is room.
 fn nearly_full(free: u64, all: u64, recordings: u64) -> Option<String> {
     let [free_gb, recordings_gb] = [free, recordings].map(|bytes| bytes as f64 / 1e9);
     let is_short = free < MIN_FREE_BYTES && free < all / MIN_FREE_PART;
@@ -375,7 +375,7 @@ enum Step {
     Remove { path: PathBuf, why: &'static str },
 }
 
-/// What the retention asks for, files given oldest first. `now_ns` is none while the clock is in doubt.
+/// Removals that the retention asks for, files given oldest first. `now_ns` is none while the clock is in doubt.
 fn plan(files: &[Kept], retention: &Retention, now_ns: Option<i64>) -> Vec<Step> {
     let mut steps = Vec::new();
     let kinds =
@@ -434,12 +434,12 @@ impl Doubt {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::sink::keeper::Keeper;
+    use crate::daemon::sink::state_writer::StateWriter;
     use stiction_files::disk::SystemDisk;
 
     fn kept(index: u32, bytes: u64, age_days: i64, results_only: bool) -> Kept {
         let path = PathBuf::from(format!("{index}.mcap"));
-        let file = RunFile { path, run_number: 1, started_ns: 0, run_id: "r".into(), shard: 0, index };
+        let file = RunFile { path, run_number: 1, started_ns: 0, run_id: "r".into(), segment: 0, index };
         Kept { file, bytes, modified_ns: -age_days * DAY_NS, results_only, open: false }
     }
 
@@ -483,7 +483,7 @@ mod tests {
         (0..3).for_each(|index| recording(dir.path(), index));
         let run = |verified| {
             let (faults, metrics) = (Arc::<Faults>::default(), Arc::<Metrics>::default());
-            let (keeper, mut store) = Keeper::pair(
+            let (state_writer, mut store) = StateWriter::pair(
                 dir.path(),
                 "p",
                 (None, Default::default()),
@@ -491,7 +491,7 @@ mod tests {
                 faults.clone(),
                 metrics.clone(),
             );
-            let mut worker = worker(dir.path(), verified, Some(keeper.notes()));
+            let mut worker = worker(dir.path(), verified, Some(state_writer.notes()));
             worker.keep();
             worker.check_all();
             assert!(store.turn());
@@ -500,7 +500,7 @@ mod tests {
         };
         let stored = || {
             let (faults, metrics) = (Faults::default(), Metrics::default());
-            super::super::restore::restore(&SystemDisk, dir.path(), "p", &faults, &metrics).verified
+            crate::daemon::startup_state::memory::restore(&SystemDisk, dir.path(), "p", &faults, &metrics).verified
         };
         assert_eq!(run(BTreeMap::new()), (3, 0, 3));
         assert_eq!(stored().len(), 3);

@@ -13,7 +13,7 @@ use stiction_engine::shard::Shard;
 /// Longest name of a loop that is discovered, bytes.
 const NAME_BYTES: usize = 256;
 
-/// What a key means.
+/// Where a key leads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Route {
     /// A signal of a loop.

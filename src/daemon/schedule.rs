@@ -29,7 +29,7 @@ struct Waiting<J> {
     job: J,
 }
 
-/// What the schedule knows of a loop.
+/// A loop in the schedule.
 #[derive(Debug)]
 struct Share<J> {
     hash: u64,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::bail;
 use sd_notify::NotifyState;
 
-use super::core::tell_system;
+use super::engine_thread::notify_system;
 use crate::daemon::sink::recorder::Progress;
 
 /// How long the threads may take to end, or stand still: with what follows it all ends within five seconds, also on a
@@ -15,10 +15,10 @@ const STOP_WITHIN: Duration = Duration::from_secs(3);
 /// How long the recorder may take in any case: it has a file for every thousand loops to finish, and one that is left behind
 /// is not lost, but neither sealed nor indexed.
 const RECORDER_WITHIN: Duration = Duration::from_secs(60);
-/// How long it may stand still between two files.
+/// How long it may make no progress between two files.
 const STANDS_WITHIN: Duration = Duration::from_secs(15);
-/// How often a long end is told to the system.
-const TOLD_EVERY: Duration = Duration::from_secs(1);
+/// How often a long end is reported to the system.
+const NOTIFY_EVERY: Duration = Duration::from_secs(1);
 /// Name of the thread that keeps the recording folder, and how long it may take to end.
 pub const RETENTION: &str = "retention";
 const RETENTION_WITHIN: Duration = Duration::from_millis(300);
@@ -73,16 +73,16 @@ pub async fn join(threads: Vec<NamedThread>, unasked: Option<&str>, progress: &P
 async fn wait_for(name: &str, thread: &JoinHandle<()>, patience: &mut Patience, progress: &Progress) {
     // That thread holds nothing that a crash could harm, and on a busy machine it is the last to get a core.
     let short = (name == RETENTION).then(|| Instant::now() + RETENTION_WITHIN);
-    let mut told = Instant::now();
+    let mut notified = Instant::now();
     while !thread.is_finished() {
         let now = Instant::now();
         if patience.is_over(now, progress.steps()) || short.is_some_and(|until| now >= until) {
             return;
         }
-        if now >= told + TOLD_EVERY {
-            told = now;
+        if now >= notified + NOTIFY_EVERY {
+            notified = now;
             let longer = u32::try_from((2 * STANDS_WITHIN).as_micros()).unwrap_or(u32::MAX);
-            tell_system(&[NotifyState::ExtendTimeoutUsec(longer)]);
+            notify_system(&[NotifyState::ExtendTimeoutUsec(longer)]);
         }
         tokio::time::sleep(LOOK_AGAIN).await;
     }
@@ -101,7 +101,7 @@ impl Patience {
         Self { begun: now, until: now + limit, limit, done }
     }
 
-    /// Whether it is over, the recorder having done so many steps by now.
+    /// Whether to give up, given the steps that the recorder has done by now.
     fn is_over(&mut self, now: Instant, done: [u64; 2]) -> bool {
         if done != self.done && now < self.begun + RECORDER_WITHIN {
             // A disk that has finished a file is there: it may take longer over the next one.

@@ -5,7 +5,7 @@ use std::future::Future;
 use sd_notify::NotifyState;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-use super::core::tell_system;
+use super::engine_thread::notify_system;
 use super::reload::Reload;
 
 /// A file that reaches the limit of the system (`ulimit -f`) is an error of that file, not the end of the process.
@@ -30,14 +30,14 @@ pub async fn serve_until(mut stop: impl Future<Output = ()> + Unpin, mut hangups
             () = next(&mut hangups) => {}
         }
         match NotifyState::monotonic_usec_now() {
-            Ok(now) => tell_system(&[NotifyState::Reloading, now]),
-            Err(error) => tracing::debug!(%error, "systemd cannot be told"),
+            Ok(now) => notify_system(&[NotifyState::Reloading, now]),
+            Err(error) => tracing::debug!(%error, "systemd cannot be notified"),
         }
         tokio::select! {
             () = &mut stop => return,
             () = reload.run() => {}
         }
-        tell_system(&[NotifyState::Ready]);
+        notify_system(&[NotifyState::Ready]);
     }
 }
 

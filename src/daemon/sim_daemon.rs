@@ -1,4 +1,4 @@
-//! A daemon without threads, bus and time of its own: queues, engine, schedule, recorder, store of states, restore, page,
+//! A daemon without threads, bus or clock: queues, engine, schedule, recorder, store of states, restore, page,
 //! delivery, gap diagnoses and retention are those of [`super::run`]. Whoever holds it delivers messages, moves the clock,
 //! does the fits and diagnoses, answers as the receivers and says when the disk is written. So a simulation decides on every
 //! order and every fault, and the same seed gives the same run.
@@ -12,21 +12,21 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::core::{Core, Parts};
 use super::data_health::{DataHealthParts, DataHealthWorker};
+use super::engine_thread::{EngineThread, Parts};
 use super::gaps::{Diagnosed, Diagnoser, Outcome};
 use super::plant::{Compared, Comparer, compare};
-use super::refill::{Refilled, refill};
-use super::restore::{self, Restored};
 use super::retention::{RetentionParts, RetentionWorker};
 use super::worker::{Answered, Job, Workers};
 use crate::daemon::sink::deliver::{Delivery, MakeTarget, Outbox};
-use crate::daemon::sink::keeper::{self, Keeper};
 use crate::daemon::sink::mark::Mark;
 use crate::daemon::sink::recorder::{RecordedConfig, Recorder, RunInfo, Writer};
+use crate::daemon::sink::state_writer::{self, StateWriter};
 use crate::daemon::sink::zenoh::{Outgoing, Publication, Publisher};
 use crate::daemon::source::shares::Shares;
 use crate::daemon::source::{CONTROL_QUEUE, Envelope, Intake, Message};
+use crate::daemon::startup_state::memory::{self, Restored};
+use crate::daemon::startup_state::windows::{Refilled, refill};
 use crate::runtime::clock::Clock;
 use crate::runtime::control::{Answer, Control, Edit};
 use crate::runtime::faults::Faults;
@@ -49,10 +49,10 @@ const DAEMON_ID: &str = "stage";
 
 /// The parts, and the far ends of their queues.
 pub struct SimDaemon {
-    core: Core,
+    engine: EngineThread,
     intake: Intake,
     control: Sender<Control>,
-    wishes: Receiver<Control>,
+    requests: Receiver<Control>,
     incoming: Receiver<Message>,
     jobs: Receiver<Job>,
     answers: Sender<Answered>,
@@ -67,7 +67,7 @@ pub struct SimDaemon {
     data_health: DataHealthWorker,
     publications: Outgoing,
     writer: Writer,
-    keeping: keeper::Worker,
+    keeping: state_writer::Worker,
     budget: Budget,
     metrics: Arc<Metrics>,
     faults: Arc<Faults>,
@@ -97,12 +97,12 @@ impl SimDaemon {
         let (metrics, faults) = (Arc::new(Metrics::default()), Arc::new(Faults::new(clock.clone())));
         let dir = Path::new(&config.recording.dir).to_owned();
         let prefix = config.site.prefix.clone();
-        let mut restored = restore::restore(disk.as_ref(), &dir, &prefix, &faults, &metrics);
+        let mut restored = memory::restore(disk.as_ref(), &dir, &prefix, &faults, &metrics);
         let memories = restored.take_memories(&config);
         let run = run_of(&config, config_text, clock, restored.run_number);
         restored.note_run(&prefix, &run.run_id);
         let Restored { store, runs, verified, data_health, .. } = restored;
-        restore::tell_aside(&dir, &faults);
+        memory::report_aside(&dir, &faults);
         let Refilled { engine, continued, last } = refill(&dir, &config, &runs, clock.now_ns(), &faults);
         let run = RunInfo { continued, ..run };
         let run_id = run.run_id.clone();
@@ -110,10 +110,11 @@ impl SimDaemon {
         let (recorder, writer) = Recorder::pair(run, config.recording.clone(), place, metrics.clone(), faults.clone());
         let mark = Mark::default();
         let stored = (store, mark.clone());
-        let (keeper, keeping) = Keeper::pair(&dir, &prefix, stored, disk.clone(), faults.clone(), metrics.clone());
+        let (state_writer, keeping) =
+            StateWriter::pair(&dir, &prefix, stored, disk.clone(), faults.clone(), metrics.clone());
         let (publisher, publications) = Publisher::pair(metrics.clone());
         let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
-        let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
+        let (control, requests) = crossbeam_channel::bounded(CONTROL_QUEUE);
         let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
         let way_in = (budget.clone(), shares.clone());
         let intake = Intake::new(queue, way_in, metrics.clone(), clock.clone());
@@ -129,7 +130,7 @@ impl SimDaemon {
             overview: overview.clone(),
             publisher: publisher.clone(),
             outbox: Some(outbox.clone()),
-            notes: Some(keeper.notes()),
+            notes: Some(state_writer.notes()),
             daemon_id: DAEMON_ID.to_owned(),
             clock: clock.clone(),
         };
@@ -140,7 +141,7 @@ impl SimDaemon {
             run_id: run_id.clone(),
             config: current,
             lock: SharedLock::default(),
-            notes: Some(keeper.notes()),
+            notes: Some(state_writer.notes()),
             verified,
             metrics: metrics.clone(),
             faults: faults.clone(),
@@ -148,7 +149,7 @@ impl SimDaemon {
         });
         let starting = DaemonHealth::starting(DAEMON_ID, &config.hash());
         let snapshot = HealthSnapshot::new(RwLock::new((clock.now(), Arc::new(starting))));
-        let mut core = Core::new(Parts {
+        let mut engine_thread = EngineThread::new(Parts {
             engine: engine.of_daemon(DAEMON_ID),
             comparer: config.plant.groups.then_some(comparer),
             config: Arc::new(config),
@@ -156,7 +157,7 @@ impl SimDaemon {
             workers: Workers { jobs: to_worker, answers: answered.clone() },
             diagnoser,
             recorder: Some(recorder),
-            keeper: Some(keeper),
+            state_writer: Some(state_writer),
             publisher,
             outbox: Some(outbox),
             metrics: metrics.clone(),
@@ -167,13 +168,13 @@ impl SimDaemon {
             clock: clock.clone(),
             health_every: super::HEALTH_EVERY,
         });
-        core.restore(memories, last);
-        core.begin(0);
+        engine_thread.restore(memories, last);
+        engine_thread.begin(0);
         Ok(Self {
-            core,
+            engine: engine_thread,
             intake,
             control,
-            wishes,
+            requests,
             incoming,
             jobs: waiting,
             answers,
@@ -211,19 +212,19 @@ impl SimDaemon {
 
     /// The engine takes all that waits for it.
     pub fn turn(&mut self) {
-        self.core.turn(&self.incoming, &self.wishes);
+        self.engine.turn(&self.incoming, &self.requests);
     }
 
-    /// The worker does up to so many fits, each given by `fit`; says how many it did.
+    /// Does up to `most` fits, each given by `fit`; returns how many were done.
     pub fn work(&mut self, most: usize, mut fit: impl FnMut(&str, &Request) -> Option<Assessment>) -> usize {
         for done in 0..most {
             let Ok(Job { request, arrival_ns }) = self.jobs.try_recv() else { return done };
-            let assessment = fit(self.core.engine().name(request.id), &request);
+            let assessment = fit(self.engine.engine().name(request.id), &request);
             let answer = assessment.map(|assessment| request.answer(request.record(), assessment));
             let (id, seq, end_ns, took) = (request.id, request.seq, request.end_ns, Duration::ZERO);
             let _ = self.answers.send(Answered { id, seq, end_ns, arrival_ns, took, answer });
             // The answer makes room for the next one in the schedule.
-            self.core.turn(&self.incoming, &self.wishes);
+            self.engine.turn(&self.incoming, &self.requests);
         }
         most
     }
@@ -241,7 +242,7 @@ impl SimDaemon {
         for request in &requests {
             let answer = Diagnosed { id: request.id, number: request.number, outcome: diagnose(request) };
             let _ = self.gap_answers.send(answer);
-            self.core.turn(&self.incoming, &self.wishes);
+            self.engine.turn(&self.incoming, &self.requests);
         }
         requests.len()
     }
@@ -250,7 +251,7 @@ impl SimDaemon {
     pub fn compare(&mut self) -> bool {
         let Ok(comparison) = self.comparisons.try_recv() else { return false };
         let _ = self.compared.send(compare(comparison, DAEMON_ID));
-        self.core.turn(&self.incoming, &self.wishes);
+        self.engine.turn(&self.incoming, &self.requests);
         true
     }
 
@@ -306,14 +307,14 @@ impl SimDaemon {
 
     /// Health as it is now.
     pub fn health(&mut self) -> Arc<DaemonHealth> {
-        self.core.report(self.incoming.len());
+        self.engine.report(self.incoming.len());
         self.snapshot.read().unwrap_or_else(std::sync::PoisonError::into_inner).1.clone()
     }
 
     /// The loops.
     #[must_use]
     pub const fn engine(&self) -> &Engine {
-        self.core.engine()
+        self.engine.engine()
     }
 
     /// The counters.
@@ -334,20 +335,20 @@ impl SimDaemon {
         (self.budget.used(), self.keeping.waiting())
     }
 
-    /// What is held of loops, by who holds it.
+    /// Number of loops held, by part of the daemon.
     #[cfg(test)]
     #[must_use]
     pub fn remains(&self) -> Vec<(&'static str, usize)> {
-        self.core.remains()
+        self.engine.remains()
     }
 
     /// A configuration that was read again arrives, and is taken over with the next turn; says what differs in it. `None`
     /// where it is refused: it changes what cannot change while the daemon runs, or the daemon is too busy for it.
     pub fn edit(&self, config: Config, text: &str) -> Option<ConfigChanges> {
-        let changes = self.core.config().changes_to(&config);
+        let changes = self.engine.config().changes_to(&config);
         let edit = Edit { config: Arc::new(config), text: text.to_owned(), changes: changes.clone() };
-        let wish = Control::Edit { edit: Box::new(edit), answer: Box::new(|| ()) };
-        (changes.refusal().is_none() && self.control.try_send(wish).is_ok()).then_some(changes)
+        let request = Control::Edit { edit: Box::new(edit), answer: Box::new(|| ()) };
+        (changes.refusal().is_none() && self.control.try_send(request).is_ok()).then_some(changes)
     }
 
     /// Names this run in its recordings.
@@ -358,7 +359,7 @@ impl SimDaemon {
 
     /// Ends in order, as SIGTERM does. Gives what still went out.
     pub fn finish(&mut self) -> Vec<Publication> {
-        self.core.finish(&self.incoming, &self.wishes, &self.answered);
+        self.engine.finish(&self.incoming, &self.requests, &self.answered);
         self.writer.turn();
         self.writer.finish();
         self.delivery.turn();

@@ -9,20 +9,20 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 
-use super::core::tell_system;
 use super::data_health::{self, DataHealthParts, DataHealthWorker};
-use super::refill::{self, Refilled};
-use super::restore::{self, OwnRuns, Restored};
+use super::engine_thread::notify_system;
 use super::retention::{self, RetentionParts};
 use super::shutdown::{self, NamedThread};
 use crate::daemon::sink::deliver::Outbox;
-use crate::daemon::sink::keeper::Keeper;
 use crate::daemon::sink::mark::Mark;
 use crate::daemon::sink::recorder::{Recorder, RunInfo};
+use crate::daemon::sink::state_writer::StateWriter;
 use crate::daemon::sink::zenoh::Publisher;
 use crate::daemon::source::shares::Shares;
 use crate::daemon::source::zenoh::Subscriptions;
 use crate::daemon::source::{self, Intake, Message};
+use crate::daemon::startup_state::memory::{self, OwnRuns, Restored};
+use crate::daemon::startup_state::windows::{self, Refilled};
 use crate::runtime::clock::Clock;
 use crate::runtime::control::Control;
 use crate::runtime::faults::Faults;
@@ -39,12 +39,12 @@ use stiction_files::lock::{FolderLock, LockError, LockedDisk, SharedLock};
 /// How long a router may take to answer before that is a fault.
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
 /// How often a long start says that it goes on.
-const STARTING_TOLD: Duration = Duration::from_secs(5);
-/// What the page says of a demonstration's data.
+const STARTING_EVERY: Duration = Duration::from_secs(5);
+/// Note on the page of a demonstration.
 const SIMULATED: &str =
     "A simulated plant that runs 100 times as fast as a real one: its stamps run ahead of your clock.";
 
-/// What the parts of a run share.
+/// Shared by all parts of a run.
 pub(super) struct Shared {
     pub current: CurrentConfig,
     pub recordings: PathBuf,
@@ -88,7 +88,7 @@ fn starting(id: &str, config: &Config) -> (Instant, Arc<DaemonHealth>) {
     (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())))
 }
 
-/// What is there before the threads start.
+/// What is open before the threads start.
 pub(super) struct Opened {
     pub restored: Restored,
     pub session: zenoh::Session,
@@ -169,7 +169,7 @@ pub(super) async fn unless_stopped<T>(
 pub(super) struct Sinks {
     pub recorder: Recorder,
     /// None in a demonstration.
-    pub keeper: Option<Keeper>,
+    pub state_writer: Option<StateWriter>,
     pub publisher: Publisher,
     pub outbox: Option<Outbox>,
     /// Dropped, they end the threads that have no queue.
@@ -187,19 +187,19 @@ pub(super) fn threads(
     let Shared { current, recordings, metrics, faults, overview, last, .. } = shared;
     let (run_id, daemon_id, is_kept) = (run.run_id.clone(), run.daemon.clone(), goes_on(run.origin));
     restored.note_run(&config.site.prefix, &run_id);
-    let told = (metrics.clone(), faults.clone());
+    let counters = (metrics.clone(), faults.clone());
     let disk = Arc::new(LockedDisk::new(lock.clone())) as Arc<dyn Disk>;
-    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), told)?;
+    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), counters)?;
     let (recorder, recording) =
         Recorder::start(run, config.recording.clone(), disk.clone(), metrics.clone(), faults.clone())?;
     let mut threads = vec![("recorder", recording), ("publisher", publishing)];
     let prefix = &config.site.prefix;
-    let (mut keeper, mark) = (None, Mark::default());
+    let (mut state_writer, mark) = (None, Mark::default());
     if is_kept {
         let stored = (restored.store, mark.clone());
         let (started, keeping) =
-            Keeper::start(recordings, prefix, stored, disk.clone(), faults.clone(), metrics.clone())?;
-        keeper = Some(started);
+            StateWriter::start(recordings, prefix, stored, disk.clone(), faults.clone(), metrics.clone())?;
+        state_writer = Some(started);
         threads.push(("state", keeping));
     }
     let (stop_retention, retention_stops) = crossbeam_channel::bounded::<()>(0);
@@ -209,7 +209,7 @@ pub(super) fn threads(
         run_id,
         config: current.clone(),
         lock,
-        notes: keeper.as_ref().map(Keeper::notes),
+        notes: state_writer.as_ref().map(StateWriter::notes),
         verified: restored.verified,
         metrics: metrics.clone(),
         faults: faults.clone(),
@@ -227,16 +227,16 @@ pub(super) fn threads(
         overview: overview.clone(),
         publisher: publisher.clone(),
         outbox: outbox.clone(),
-        notes: keeper.as_ref().map(Keeper::notes),
+        notes: state_writer.as_ref().map(StateWriter::notes),
         daemon_id,
         clock: Clock::system(),
     };
     let worker = DataHealthWorker::new(parts, restored.data_health);
     threads.push(("data health", data_health::start(worker, summaries_stop)?));
-    Ok((threads, Sinks { recorder, keeper, publisher, outbox, stops: [stop_retention, stop_summaries] }))
+    Ok((threads, Sinks { recorder, state_writer, publisher, outbox, stops: [stop_retention, stop_summaries] }))
 }
 
-/// What earlier runs remembered, read on a thread of its own: it may take minutes where the store is gone and recordings
+/// Reads the memory of earlier runs on a separate thread: it may take minutes where the store is gone and recordings
 /// are large, and the daemon must hear signals meanwhile. Given up half way it leaves nothing half done, and whatever it
 /// stumbles over, the daemon starts.
 async fn restore_in_background(config: &Config, faults: &Arc<Faults>, metrics: &Arc<Metrics>) -> Restored {
@@ -244,8 +244,8 @@ async fn restore_in_background(config: &Config, faults: &Arc<Faults>, metrics: &
     let (faults, metrics) = (faults.clone(), metrics.clone());
     let named = faults.clone();
     let read = move || {
-        let restored = restore::restore(&SystemDisk, &dir, &prefix, &faults, &metrics);
-        restore::tell_aside(&dir, &faults);
+        let restored = memory::restore(&SystemDisk, &dir, &prefix, &faults, &metrics);
+        memory::report_aside(&dir, &faults);
         restored
     };
     tokio::task::spawn_blocking(read).await.unwrap_or_else(|error| {
@@ -254,11 +254,11 @@ async fn restore_in_background(config: &Config, faults: &Arc<Faults>, metrics: &
     })
 }
 
-/// The loops' windows, read on a thread of its own; a failure leaves them empty.
+/// Reads the loops' windows on a separate thread; a failure leaves them empty.
 async fn refill_in_background(config: &Config, runs: &OwnRuns, faults: &Arc<Faults>) -> Refilled {
     let (own, runs, named) = (config.clone(), runs.clone(), faults.clone());
     let now_ns = crate::runtime::clock::now_ns();
-    let read = move || refill::refill(Path::new(&own.recording.dir), &own, &runs, now_ns, &named);
+    let read = move || windows::refill(Path::new(&own.recording.dir), &own, &runs, now_ns, &named);
     tokio::task::spawn_blocking(read).await.unwrap_or_else(|error| {
         faults.raise("restore", format!("the loops' windows begin empty, the log says why: {error}"));
         Refilled::empty(config)
@@ -268,12 +268,15 @@ async fn refill_in_background(config: &Config, runs: &OwnRuns, faults: &Arc<Faul
 /// While earlier runs are read: says so in the health document, and keeps the system from taking the start for one that
 /// hangs. Never ends.
 async fn ask_for_patience(faults: &Faults, snapshot: &HealthSnapshot) -> Infallible {
-    let until_next = u32::try_from((3 * STARTING_TOLD).as_micros()).unwrap_or(u32::MAX);
+    let until_next = u32::try_from((3 * STARTING_EVERY).as_micros()).unwrap_or(u32::MAX);
     loop {
-        tokio::time::sleep(STARTING_TOLD).await;
-        faults.raise_for("starting", "starting: what earlier runs remembered is being read", 2 * STARTING_TOLD);
+        tokio::time::sleep(STARTING_EVERY).await;
+        faults.raise_for("starting", "starting: what earlier runs remembered is being read", 2 * STARTING_EVERY);
         show_faults(faults, snapshot);
-        tell_system(&[NotifyState::ExtendTimeoutUsec(until_next), NotifyState::Status("reads what earlier runs left")]);
+        notify_system(&[
+            NotifyState::ExtendTimeoutUsec(until_next),
+            NotifyState::Status("reads what earlier runs left"),
+        ]);
     }
 }
 
@@ -290,16 +293,16 @@ fn show_faults(faults: &Faults, snapshot: &HealthSnapshot) {
 async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) -> Infallible {
     tokio::time::sleep(ROUTER_WITHIN).await;
     faults.raise("bus", "not connected to the bus: no router answers; retrying");
-    tell_system(&[NotifyState::Ready, NotifyState::Status("waits for the router")]);
+    notify_system(&[NotifyState::Ready, NotifyState::Status("waits for the router")]);
     let pause = sd_notify::watchdog_enabled().map_or(ROUTER_WITHIN, |period| period / 2);
     loop {
         show_faults(faults, snapshot);
-        tell_system(&[NotifyState::Watchdog]);
+        notify_system(&[NotifyState::Watchdog]);
         tokio::time::sleep(pause).await;
     }
 }
 
-/// Makes the folder and locks it against a second daemon, on a thread of its own; `None` if the daemon is stopped while the
+/// Makes the folder and locks it against a second daemon, on a separate thread; `None` if the daemon is stopped while the
 /// disk hangs.
 pub(super) async fn lock(
     shared: &Shared,

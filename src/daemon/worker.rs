@@ -11,7 +11,7 @@ use stiction_engine::engine::{LoopId, Request, WindowAnswer};
 /// A window on its way to a worker.
 #[derive(Debug)]
 pub struct Job {
-    /// What is to be computed.
+    /// The window to compute.
     pub request: Request,
     /// When the sample arrived that made it due, ns.
     pub arrival_ns: i64,

@@ -30,7 +30,7 @@ impl Clock {
         Self(None)
     }
 
-    /// One that stands still until it is moved.
+    /// A clock that is moved by hand.
     #[must_use]
     pub fn standing(wall_ns: i64) -> Self {
         let (passed_ns, wall_ns) = (AtomicU64::new(0), AtomicI64::new(wall_ns));

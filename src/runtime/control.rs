@@ -1,4 +1,4 @@
-//! What people and the system ask of the engine, and how it answers.
+//! Requests of people and the system to the engine, and its answers.
 
 use std::sync::Arc;
 
@@ -18,18 +18,18 @@ pub struct WindowSnapshot {
     pub settings: Arc<LoopSettings>,
 }
 
-/// What people and the system want of the engine. It has a queue of its own, which samples cannot fill.
+/// A request to the engine. Requests have a separate queue, which samples cannot fill.
 pub enum Control {
     /// A person's command.
     Command {
         /// The loop's name.
         loop_name: String,
-        /// What is asked.
+        /// The command.
         command: Command,
         /// Where the answer goes.
         answer: Answer,
     },
-    /// A person's wish for a gap diagnosis.
+    /// A person's request for a gap diagnosis.
     GapRun {
         /// The loop's name.
         loop_name: String,

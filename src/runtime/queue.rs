@@ -18,7 +18,7 @@ pub struct Room {
 }
 
 impl Budget {
-    /// A budget of so many bytes.
+    /// A budget of `limit` bytes.
     #[must_use]
     pub fn new(limit: usize) -> Self {
         Self { used: Arc::default(), limit }
@@ -51,7 +51,7 @@ impl Drop for Room {
     }
 }
 
-/// So many events in the long run, and so many at once. Told the time in seconds, so it can be tested.
+/// A limit of events per second with a burst. It is told the time, s, so that tests need no clock.
 #[derive(Debug, Clone, Copy)]
 pub struct Rate {
     per_s: f64,

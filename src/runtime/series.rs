@@ -236,8 +236,8 @@ mod tests {
         board.alarm(&series, "N", &place, &AlarmDocument { active: true, state: State::Unack, ..document }.at(&place));
         let mut registry = Registry::with_prefix("stictiond");
         series.register(&mut registry);
-        let mut told = String::new();
-        prometheus_client::encoding::text::encode(&mut told, &registry).unwrap();
+        let mut text = String::new();
+        prometheus_client::encoding::text::encode(&mut text, &registry).unwrap();
         for line in [
             "stictiond_loop_data_age_seconds{loop=\"A\"} 2.5",
             "stictiond_loop_alarm_active{loop=\"A\"} 0",
@@ -247,10 +247,10 @@ mod tests {
             "stictiond_loops_without_series 1",
             "area=\"a \\\"b\\\" \\\\\"",
         ] {
-            assert!(told.contains(line), "{line}\n{told}");
+            assert!(text.contains(line), "{line}\n{text}");
         }
-        assert!(!told.contains("loop=\"B\""), "{told}");
-        assert!(!told.contains("loop_stiction_probability{loop=\"N\"}"), "a screened loop has no probability: {told}");
+        assert!(!text.contains("loop=\"B\""), "{text}");
+        assert!(!text.contains("loop_stiction_probability{loop=\"N\"}"), "a screened loop has no probability: {text}");
         let off = Config::parse("[site]\nprefix = \"p\"\n[web]\nloop_series = false\n").unwrap();
         assert!(LoopMetrics::new(&off).is_none());
     }

@@ -1,4 +1,4 @@
-//! What a server shows of a running daemon. The daemon starts the server and does not know it.
+//! The server's view of a running daemon. The daemon starts the server through it and does not depend on `web`.
 
 use std::net::SocketAddr;
 use std::pin::Pin;

@@ -133,14 +133,14 @@ mod tests {
     fn the_older_form_describes_samples_by_their_own_names() {
         let open = "# HELP a Messages.\n# TYPE a counter\na_total 3\n# HELP b Build.\n# TYPE b info\nb_info{version=\"1\"} 1\n\
                     # HELP c Waiting.\n# TYPE c gauge\n# UNIT c bytes\nc 2\n# EOF\n";
-        let told = plain(open);
-        assert!(told.contains("# HELP a_total Messages\n# TYPE a_total counter\na_total 3\n"), "{told}");
+        let text = plain(open);
+        assert!(text.contains("# HELP a_total Messages\n# TYPE a_total counter\na_total 3\n"), "{text}");
         assert!(
-            told.contains("# HELP b_info Build\n# TYPE b_info gauge\nb_info{")
-                && told.contains("# TYPE c gauge\nc 2\n"),
-            "{told}"
+            text.contains("# HELP b_info Build\n# TYPE b_info gauge\nb_info{")
+                && text.contains("# TYPE c gauge\nc 2\n"),
+            "{text}"
         );
-        assert!(!told.contains("EOF") && !told.contains("UNIT"), "{told}");
+        assert!(!text.contains("EOF") && !text.contains("UNIT"), "{text}");
         for (accept, wanted) in [
             (None, Form::Open),
             (Some(""), Form::Open),

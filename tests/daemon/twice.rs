@@ -9,7 +9,7 @@ use stiction_engine::codec::topic::{self, Kind};
 use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, Event, RecordedInput, Request, SkipReason};
 use stiction_files::RecordingFile;
-use stictiond::daemon::rerun::Rerun;
+use stictiond::daemon::replay::parallel::ParallelReplay;
 
 const SCENARIO: &str = include_str!("../../recordings/scenarios/sticking.toml");
 const TEXT: &str = "[site]\nprefix = \"p\"\n[window]\nhop_s = 300.0\n[alarm]\nraise = [32, 32]\n";
@@ -70,7 +70,7 @@ fn skips_among_windows_of_equal_ends_replay_to_the_byte() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("twice.mcap");
     let estimates = record(&path);
-    let mut replay = Rerun::new(&Config::parse(TEXT).unwrap(), None, false);
+    let mut replay = ParallelReplay::new(&Config::parse(TEXT).unwrap(), None, false);
     let report = replay.file(&path, "p", true, true).unwrap();
     assert_eq!((report.difference, report.compared), (None, estimates));
 }

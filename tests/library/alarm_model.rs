@@ -58,9 +58,9 @@ fn follow(seed: u64) {
         } else {
             const ALL: [&str; 8] =
                 ["ack", "ack", "shelve", "unshelve", "suppress", "unsuppress", "out_of_service", "in_service"];
-            let cmd = if below(20) == 0 { "explode" } else { ALL[below(8) as usize] };
+            let cmd = ALL[below(8) as usize];
             let for_s = [None, Some(0), Some(601), Some(3000), Some(MAX_SHELVE_S + 1)][below(5) as usize];
-            let command = Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s };
+            let command = Command { action: cmd.parse().unwrap(), by: Some("ann".into()), why: None, for_s };
             let before = alarm.clone();
             let said = alarm.command("L", &command, at_ns);
             assert_eq!(said.is_ok(), model.command(cmd, for_s, at_ns), "seed {seed}, step {step}, {cmd}: {model:?}");

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use stiction::core::record::{Sample, Signal, Value};
 use stiction::core::sim::scenario::Scenario;
 use stiction::core::verdict::Verdict;
-use stiction_engine::alarm::{Command, State};
+use stiction_engine::alarm::{AlarmAction, Command, State};
 use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, Event, LoopId};
 
@@ -156,7 +156,7 @@ fn a_loop_that_left_comes_back_with_its_alarm_alone() {
     assert_eq!(again, id, "its handle is used again");
     assert_eq!((engine.checkpoint(again).alarm.shown(), engine.figures(again).windows), (State::Unack, 0));
     assert!(engine.bytes(again) * 3 < held, "{} of {held}", engine.bytes(again));
-    let command = Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None };
+    let command = Command { action: AlarmAction::Ack, by: Some("ann".into()), why: None, for_s: None };
     assert_eq!(engine.command(again, &command).unwrap().state, State::Acked);
     assert_eq!(engine.left().count(), 0);
 }

@@ -214,7 +214,8 @@ fn a_source_that_is_out_of_service_holds_nothing_back() {
         source.next_window();
     }
     assert!(source.has_alarm() && source.engine.alarms("SOURCE"));
-    let command = |cmd: &str| Command { cmd: cmd.to_owned(), by: Some("ann".to_owned()), why: None, for_s: None };
+    let command =
+        |cmd: &str| Command { action: cmd.parse().unwrap(), by: Some("ann".to_owned()), why: None, for_s: None };
     source.engine.command(source.id, &command("out_of_service")).unwrap();
     assert!(!source.engine.alarms("SOURCE"));
 }

@@ -293,7 +293,8 @@ fn keys_and_commands() {
         let mut words = text.splitn(3, ' ').map(str::to_owned);
         let (cmd, by, why) = (words.next().unwrap_or_default(), words.next(), words.next());
         let for_s = why.as_deref().and_then(|w| w.parse().ok());
-        let command = Command { cmd, by, why, for_s };
+        let Ok(action) = cmd.parse() else { return };
+        let command = Command { action, by, why, for_s };
         if command.check().is_ok() {
             let mut alarm = Alarm::default();
             if let Ok(document) = alarm.command("L", &command, i64::MAX) {

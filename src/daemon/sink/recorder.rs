@@ -1,9 +1,9 @@
 //! The recorder: raw samples and results into MCAP files, in the order in which the engine took them.
 //!
-//! A thread of its own behind a queue that is bounded by its bytes. Where it is full the engine waits a little, because a
+//! Its thread reads a queue that is bounded in bytes. When that is full the engine waits a little, because a
 //! recording that misses something cannot be replayed, but only while this thread takes items: never for a disk that hangs,
 //! which costs recordings, counted, never alarms or estimates. Loops are spread
-//! over files side by side, [`LOOPS_PER_FILE`] to a file; each such *shard* is a recording of its own.
+//! over files side by side, [`LOOPS_PER_FILE`] to a file; each such *segment* is a separate recording.
 
 mod channels;
 mod progress;
@@ -45,7 +45,7 @@ pub const LOOPS_PER_FILE: usize = 1000;
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Time without an item taken while some wait, after which the disk is said to hang.
 const HANGS: Duration = Duration::from_secs(10);
-/// After so long without an item taken the thread stands before the disk, and nobody waits for it.
+/// If no item was taken for this long the disk hangs, and nobody waits for the thread.
 const STANDS: Duration = Duration::from_millis(20);
 /// Pause after an error of the disk before the next file is tried.
 const RETRY: Duration = Duration::from_secs(5);
@@ -60,20 +60,20 @@ const MANY_CHANNELS: usize = MAX_CHANNELS / 5 * 4;
 /// The same, as the file itself counts them, where that has not happened.
 const MOST_CHANNELS: usize = MAX_CHANNELS / 10 * 9;
 
-/// What the engine hands to the recorder.
+/// An order from the engine to the recorder.
 #[derive(Debug)]
 pub enum Item {
-    /// Close the shard's file, if one is open, and open the next, which starts with these states.
+    /// Close the segment's file, if one is open, and open the next, which starts with these states.
     Open {
-        /// Which shard.
-        shard: usize,
+        /// Which segment.
+        segment: usize,
         /// Loop names and state documents.
         states: Vec<(Arc<str>, Vec<u8>)>,
     },
-    /// Finish the shard's file: its loops have left, and no new file follows.
+    /// Finish the segment's file: its loops have left, and no new file follows.
     Close {
-        /// Which shard.
-        shard: usize,
+        /// Which segment.
+        segment: usize,
     },
     /// Another configuration, under which the next files are recorded, with the limits of a file.
     Configuration {
@@ -111,7 +111,7 @@ pub enum Item {
 }
 
 impl Item {
-    /// What it takes of the memory while it waits.
+    /// Bytes that it holds while it waits.
     fn bytes(&self) -> usize {
         let held = match self {
             Self::Open { states, .. } => states.iter().map(|(_, json)| json.len()).sum(),
@@ -125,7 +125,7 @@ impl Item {
 
 /// Which file a loop is recorded in.
 #[must_use]
-pub const fn shard_of(id: LoopId) -> usize {
+pub const fn segment_of(id: LoopId) -> usize {
     id.index() / LOOPS_PER_FILE
 }
 
@@ -186,7 +186,7 @@ impl Recorder {
             dir: PathBuf::from(&settings.dir),
             max_bytes: settings.max_bytes,
             max_age: Duration::from_secs_f64(settings.max_s),
-            shards: Vec::new(),
+            segments: Vec::new(),
             wanted: wanted.clone(),
             metrics: metrics.clone(),
             faults,
@@ -201,8 +201,8 @@ impl Recorder {
 
     /// Hands one item over, waiting a little for a place.
     pub fn record(&mut self, item: Item) {
-        if let Some(shard) = self.channels.count(&item) {
-            let _ = self.wanted.send(shard);
+        if let Some(segment) = self.channels.count(&item) {
+            let _ = self.wanted.send(segment);
         }
         let mut left = self.put(item);
         if left.is_some() && !self.overrun {
@@ -268,16 +268,16 @@ impl Recorder {
     }
 }
 
-/// The name of a shard's fault.
-fn fault_of(shard: usize) -> String {
-    format!("recording s{shard}")
+/// The name of a segment's fault.
+fn fault_of(segment: usize) -> String {
+    format!("recording s{segment}")
 }
 
 /// Topics by the loop's handle, with its name: another loop may have had the handle before.
 type Topics = BTreeMap<(u32, Kind, Option<Signal>), (Arc<str>, String)>;
 
-/// One shard's open file.
-struct Shard {
+/// One segment's open file.
+struct Segment {
     file: Option<RecordingFile>,
     /// Messages in it.
     messages: u64,
@@ -303,7 +303,7 @@ pub struct Writer {
     dir: PathBuf,
     max_bytes: u64,
     max_age: Duration,
-    shards: Vec<Shard>,
+    segments: Vec<Segment>,
     wanted: Sender<usize>,
     metrics: Arc<Metrics>,
     faults: Arc<Faults>,
@@ -346,7 +346,7 @@ impl Writer {
 
     /// Finishes the open files, on all cores: each takes its index, and a disk that answers several at a time does so.
     pub fn finish(&mut self) {
-        let files: Vec<_> = self.shards.iter_mut().map(|shard| Mutex::new((shard.file.take(), None))).collect();
+        let files: Vec<_> = self.segments.iter_mut().map(|segment| Mutex::new((segment.file.take(), None))).collect();
         share(files.len(), &|index| {
             let mut place = files[index].lock().unwrap_or_else(PoisonError::into_inner);
             if let Some(file) = place.0.take() {
@@ -366,8 +366,8 @@ impl Writer {
     fn take(&mut self, item: Item) {
         self.progress.take_one();
         match item {
-            Item::Open { shard, states } => self.open(shard, &states),
-            Item::Close { shard } => self.close(shard),
+            Item::Open { segment, states } => self.open(segment, &states),
+            Item::Close { segment } => self.close(segment),
             Item::Configuration { config, max_bytes, max_age } => {
                 self.run.config = *config;
                 (self.max_bytes, self.max_age) = (max_bytes, max_age);
@@ -383,15 +383,15 @@ impl Writer {
                 let write = |file: &mut RecordingFile, topic: &str| file.write(topic, kind, arrival, event_ns, &json);
                 self.write(id, &name, (kind, None), write);
                 if kind == Kind::Alarm {
-                    self.log_alarm(shard_of(id), event_ns, &json);
+                    self.log_alarm(segment_of(id), event_ns, &json);
                 }
             }
         }
     }
 
-    /// Repeats an alarm for viewers; it does not count as a message of its own.
+    /// Repeats an alarm for viewers; it is not counted as a message.
     fn log_alarm(&mut self, index: usize, event_ns: i64, json: &[u8]) {
-        let Some(file) = self.shards.get_mut(index).and_then(|shard| shard.file.as_mut()) else { return };
+        let Some(file) = self.segments.get_mut(index).and_then(|segment| segment.file.as_mut()) else { return };
         match file.log_alarm(self.last_arrival_ns, event_ns, json) {
             Ok(()) | Err(WriteError::Full { .. }) => {}
             Err(error) => self.fail(index, &error.to_string()),
@@ -405,16 +405,16 @@ impl Writer {
         what: (Kind, Option<Signal>),
         write: impl FnOnce(&mut RecordingFile, &str) -> Result<(), WriteError>,
     ) {
-        let index = shard_of(id);
+        let index = segment_of(id);
         let prefix = &self.run.prefix;
-        let Some(shard) = self.shards.get_mut(index) else { return self.lose(1) };
-        let Some(file) = &mut shard.file else { return self.lose(1) };
+        let Some(segment) = self.segments.get_mut(index) else { return self.lose(1) };
+        let Some(file) = &mut segment.file else { return self.lose(1) };
         let topic_of = || match what.1 {
             Some(signal) => topic::raw(prefix, name, signal),
             None => topic::result(prefix, name, what.0),
         };
         let known =
-            shard.topics.entry((id.index() as u32, what.0, what.1)).or_insert_with(|| (name.clone(), topic_of()));
+            segment.topics.entry((id.index() as u32, what.0, what.1)).or_insert_with(|| (name.clone(), topic_of()));
         if !Arc::ptr_eq(&known.0, name) {
             *known = (name.clone(), topic_of());
         }
@@ -422,8 +422,8 @@ impl Writer {
         let has_many = file.channels() >= MOST_CHANNELS;
         match written {
             Ok(()) => {
-                shard.messages += 1;
-                shard.unflushed += 1;
+                segment.messages += 1;
+                segment.unflushed += 1;
             }
             // The file goes on with the channels that it has.
             Err(WriteError::Full { .. }) => self.lose(1),
@@ -437,11 +437,11 @@ impl Writer {
         }
     }
 
-    /// Asks the engine for the shard's next file; again after a while, as the answer may have found no place in the queue.
+    /// Asks the engine for the segment's next file; again after a while, as the answer may have found no place in the queue.
     fn ask_for_next(&mut self, index: usize) {
-        let Some(shard) = self.shards.get_mut(index) else { return };
-        if shard.asked.is_none_or(|at| self.clock.since(at) > RETRY) {
-            shard.asked = Some(self.clock.now());
+        let Some(segment) = self.segments.get_mut(index) else { return };
+        if segment.asked.is_none_or(|at| self.clock.since(at) > RETRY) {
+            segment.asked = Some(self.clock.now());
             let _ = self.wanted.send(index);
         }
     }
@@ -456,31 +456,31 @@ impl Writer {
         let retry_s = RETRY.as_secs();
         self.faults.raise(&fault_of(index), format!("recording has stopped, tried again every {retry_s} s: {why}"));
         self.progress.fail(index, why);
-        let Some(shard) = self.shards.get_mut(index) else { return };
-        shard.file = None;
-        shard.retry_at = Some(self.clock.now() + RETRY);
-        // What the open chunk held never reached the disk.
-        let unflushed = std::mem::take(&mut shard.unflushed);
+        let Some(segment) = self.segments.get_mut(index) else { return };
+        segment.file = None;
+        segment.retry_at = Some(self.clock.now() + RETRY);
+        // The open chunk never reached the disk.
+        let unflushed = std::mem::take(&mut segment.unflushed);
         self.lose(unflushed);
     }
 
-    /// What was written since the last time is on the disk.
+    /// Everything written since the last call is on the disk.
     fn flushed(&mut self, index: usize) {
-        if let Some(shard) = self.shards.get_mut(index) {
-            self.metrics.recorded.inc_by(std::mem::take(&mut shard.unflushed));
+        if let Some(segment) = self.segments.get_mut(index) {
+            self.metrics.recorded.inc_by(std::mem::take(&mut segment.unflushed));
         }
     }
 
-    /// The shard's file is finished.
+    /// The segment's file is finished.
     fn closed(&mut self, index: usize) {
         self.flushed(index);
         self.progress.close(index);
     }
 
     fn open(&mut self, index: usize, states: &[(Arc<str>, Vec<u8>)]) {
-        while self.shards.len() <= index {
-            let before = self.run.continued.get(&self.shards.len());
-            self.shards.push(Shard {
+        while self.segments.len() <= index {
+            let before = self.run.continued.get(&self.segments.len());
+            self.segments.push(Segment {
                 file: None,
                 messages: 0,
                 unflushed: 0,
@@ -494,19 +494,19 @@ impl Writer {
         }
         self.close(index);
         let lost = self.metrics.recording_lost.get();
-        let shard = &mut self.shards[index];
-        let metadata = self.run.metadata(index, shard.index, &shard.previous, lost);
-        let stem = self.run.stem(index, shard.index);
+        let segment = &mut self.segments[index];
+        let metadata = self.run.metadata(index, segment.index, &segment.previous, lost);
+        let stem = self.run.stem(index, segment.index);
         self.progress.open(index, self.dir.join(format!("{stem}.mcap.part")));
         match RecordingFile::create_on(&self.disk, &self.dir, &stem, &metadata) {
             Ok(file) => {
-                shard.file = Some(file);
+                segment.file = Some(file);
                 // Those of loops that have left are not needed again.
-                shard.topics.clear();
-                (shard.messages, shard.unflushed) = (0, 0);
-                shard.previous = format!("{stem}.mcap");
-                (shard.index, shard.opened) = (shard.index + 1, self.clock.now());
-                (shard.asked, shard.retry_at) = (None, None);
+                segment.topics.clear();
+                (segment.messages, segment.unflushed) = (0, 0);
+                segment.previous = format!("{stem}.mcap");
+                (segment.index, segment.opened) = (segment.index + 1, self.clock.now());
+                (segment.asked, segment.retry_at) = (None, None);
                 self.metrics.recording_files.inc();
             }
             Err(error) => return self.fail(index, &error.to_string()),
@@ -514,13 +514,13 @@ impl Writer {
         let at_ns = if self.last_arrival_ns == 0 { self.clock.now_ns() } else { self.last_arrival_ns };
         for (name, json) in states {
             let topic = topic::result(&self.run.prefix, name, Kind::State);
-            let Some(file) = &mut self.shards[index].file else { return };
+            let Some(file) = &mut self.segments[index].file else { return };
             if let Err(error) = file.write(&topic, Kind::State, at_ns, at_ns, json) {
                 return self.fail(index, &error.to_string());
             }
         }
         // The states must outlive a crash in the first second, or the next start would find none.
-        let flushed = self.shards[index].file.as_mut().map_or(Ok(()), RecordingFile::flush);
+        let flushed = self.segments[index].file.as_mut().map_or(Ok(()), RecordingFile::flush);
         match flushed {
             Ok(()) => self.faults.clear(&fault_of(index)),
             Err(error) => self.fail(index, &error.to_string()),
@@ -528,7 +528,7 @@ impl Writer {
     }
 
     fn close(&mut self, index: usize) {
-        let Some(file) = self.shards.get_mut(index).and_then(|s| s.file.take()) else { return };
+        let Some(file) = self.segments.get_mut(index).and_then(|s| s.file.take()) else { return };
         match file.finish() {
             Ok(_) => self.closed(index),
             Err(error) => self.fail(index, &error.to_string()),
@@ -537,29 +537,29 @@ impl Writer {
 
     /// Flushes, and asks for new files where one is full, old, or was lost.
     fn flush_and_rotate(&mut self) {
-        for index in 0..self.shards.len() {
-            let shard = &mut self.shards[index];
-            let retry = shard.retry_at.is_some_and(|at| self.clock.now() >= at);
+        for index in 0..self.segments.len() {
+            let segment = &mut self.segments[index];
+            let retry = segment.retry_at.is_some_and(|at| self.clock.now() >= at);
             let (mut failure, mut gone, mut full) = (None, 0, false);
-            if let Some(file) = &mut shard.file {
+            if let Some(file) = &mut segment.file {
                 // A file that was removed while it is open takes bytes all the same, and they go nowhere.
                 if file.is_linked() {
                     match file.flush() {
                         Ok(()) => {
-                            self.metrics.recorded.inc_by(std::mem::take(&mut shard.unflushed));
+                            self.metrics.recorded.inc_by(std::mem::take(&mut segment.unflushed));
                         }
                         Err(error) => failure = Some(error.to_string()),
                     }
                 } else {
                     // Those that were flushed count again: they were recorded, and are lost all the same.
-                    gone = std::mem::take(&mut shard.messages) - shard.unflushed;
-                    let all = gone + shard.unflushed;
+                    gone = std::mem::take(&mut segment.messages) - segment.unflushed;
+                    let all = gone + segment.unflushed;
                     failure = Some(format!("{}: was removed with {all} messages in it", file.part_path().display()));
                 }
                 let large = file.bytes_written() >= self.max_bytes || file.index_bytes() >= MAX_INDEX_BYTES;
-                full = (large || self.clock.since(shard.opened) >= self.max_age) && failure.is_none();
+                full = (large || self.clock.since(segment.opened) >= self.max_age) && failure.is_none();
             } else if retry {
-                shard.retry_at = Some(self.clock.now() + RETRY);
+                segment.retry_at = Some(self.clock.now() + RETRY);
                 let _ = self.wanted.send(index);
             }
             if full {
@@ -571,7 +571,7 @@ impl Writer {
             }
             if gone > 0 {
                 // The disk is well: no need to wait.
-                self.shards[index].retry_at = Some(self.clock.now());
+                self.segments[index].retry_at = Some(self.clock.now());
             }
         }
     }

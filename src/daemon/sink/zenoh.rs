@@ -1,6 +1,6 @@
 //! Puts documents onto the bus and keeps the last one of each key for queries.
 //!
-//! A thread of its own, for which nobody waits. Where its queue is full it is overrun: from then until the queue is empty
+//! Nobody waits for its thread. When its queue is full it is overrun: from then until the queue is empty
 //! the newest document of each key is kept instead, and goes out after it. So a document may be replaced by a later one of
 //! its key, counted, but each alarm's last change goes out.
 //!
@@ -47,7 +47,7 @@ pub struct Publication {
 }
 
 impl Publication {
-    /// What it takes of the memory while it waits.
+    /// Bytes that it holds while it waits.
     fn bytes(&self) -> usize {
         size_of::<Self>() + self.key.len() + self.document.as_ref().map_or(0, Vec::len)
     }

@@ -1,4 +1,4 @@
-//! What a message travels in: one buffer for key, encoding and payload, used again for a later one when it is dropped.
+//! The buffer of a message: key, encoding and payload. When dropped it is used for a later message.
 
 use crossbeam_channel::{Receiver, Sender};
 

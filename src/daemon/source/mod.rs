@@ -38,7 +38,7 @@ pub struct Message {
     pub share: Share,
 }
 
-/// Wishes that may wait for the engine: more than all who may ask have at a time.
+/// Requests that may wait for the engine: more than all who may ask have at a time.
 pub const CONTROL_QUEUE: usize = 2 * askers::WAITING;
 
 /// The way into the engine's queue: bounded, never waits, counts what finds no place.

@@ -76,7 +76,7 @@ pub async fn watch_listening(session: zenoh::Session, config: zenoh::Config, fau
     }
 }
 
-/// What the endpoints in a text end with: `:PORT`, or the path of a socket.
+/// The endings of the endpoints in a text: `:PORT`, or the path of a socket.
 fn ports_of(text: &str) -> Vec<String> {
     let endpoints = text.split('"').filter(|part| part.contains('/'));
     endpoints.map(|e| e.rfind(':').map_or_else(|| e.to_owned(), |at| e[at..].to_owned())).collect()

@@ -103,10 +103,14 @@ impl Queries {
                 return self.refuse(asked, "for_s is a whole number of seconds, such as for_s=3600".to_owned());
             }
         };
-        let command = Command { cmd, by: parameter("by"), why: parameter("why"), for_s };
-        if let Err(why) = command.check() {
-            return self.refuse(asked, why.to_string());
-        }
+        let command = cmd.parse().and_then(|action| {
+            let command = Command { action, by: parameter("by"), why: parameter("why"), for_s };
+            command.check().map(|()| command)
+        });
+        let command = match command {
+            Ok(command) => command,
+            Err(why) => return self.refuse(asked, why.to_string()),
+        };
         if !self.askers.may_command(asked.link(), self.started.elapsed()) {
             return self.refuse(asked, "this link sends more commands than one may: try again later".to_owned());
         }
@@ -126,11 +130,11 @@ impl Queries {
         self.pass_on(asked, |answer| Control::GapRun { loop_name, by, pool, answer });
     }
 
-    /// Hands a wish to the engine. Where its queue is full the answer is dropped, and the query ends with that.
-    fn pass_on(&self, asked: PendingQuery, wish: impl FnOnce(Answer) -> Control) {
+    /// Hands a request to the engine. Where its queue is full the answer is dropped, and the query ends with that.
+    fn pass_on(&self, asked: PendingQuery, request: impl FnOnce(Answer) -> Control) {
         let refused = self.metrics.clone();
         let pending = Pending { asked: Some(asked), refused };
-        if self.control.try_send(wish(pending.into_answer())).is_err() {
+        if self.control.try_send(request(pending.into_answer())).is_err() {
             tracing::debug!("the control queue is full");
         }
     }
@@ -148,7 +152,7 @@ impl Queries {
     }
 }
 
-/// A wish that is with the engine. One that the engine never answers is refused with that.
+/// A request that is with the engine. One that the engine never answers is refused with that.
 struct Pending {
     asked: Option<PendingQuery>,
     refused: Arc<Metrics>,

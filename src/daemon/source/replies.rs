@@ -1,7 +1,7 @@
 //! What goes back to those who ask over the bus: last documents, answers to commands, refusals.
 //!
-//! Sending waits for the reader, for five seconds until Zenoh closes its link. So it is done by threads of its own, one link
-//! at a time each: a reader that stands still holds up nothing but its own answers, and once its link is closed what waits
+//! Sending waits for the reader, for five seconds until Zenoh closes its link. So separate threads do it, each for one link
+//! at a time: a reader that stops reading holds up only its own answers, and once its link is closed what waits
 //! for it is given up. A wildcard query copies nothing: it goes through the last documents a few at a time. Replies have a
 //! priority of their own (see [`super::zenoh::session_config`]), because a publisher would wait behind one of its priority.
 
@@ -30,11 +30,11 @@ const SURPLUS_BYTES: usize = 8 << 20;
 const SURPLUS: usize = 8192;
 /// How often a link whose query found no room for its refusal looks for it again.
 const ROOM_AGAIN: Duration = Duration::from_millis(10);
-/// Threads that send at a time, at most: so many links may stand still before others wait for one of them.
+/// Most threads that send at a time. If that many links stop reading, others wait for one of them.
 const THREADS: usize = 64;
 /// How long a thread waits for work before it ends.
 const IDLE: Duration = Duration::from_secs(10);
-/// A reply that took so long met a link that stands still, and that Zenoh closes.
+/// A reply that took this long met a link that stopped reading; Zenoh closes it.
 const STUCK: Duration = Duration::from_secs(4);
 /// How long one query may take in all.
 const QUERY_WITHIN: Duration = Duration::from_secs(120);
@@ -196,7 +196,7 @@ impl Drop for PendingQuery {
     }
 }
 
-/// What is left to send of an answer.
+/// The part of an answer still to be sent.
 enum Left {
     Document(Vec<u8>),
     Refusal(String),
@@ -254,7 +254,7 @@ struct Job<O> {
     left: Left,
     /// When its turn came first.
     begun: Option<Instant>,
-    /// What it holds of the places and the budget, for as long as it waits.
+    /// Its share of places and budget while it waits.
     _held: Option<(WaitingSlot, Room)>,
 }
 
@@ -398,7 +398,7 @@ impl<O: Outlet + Send + 'static> Pool<O> {
         }
     }
 
-    /// A link has its turn again if something waits for it. What waits for one that stands still is given back.
+    /// A link has its turn again if something waits for it. If the link has stopped reading, its queue is dropped and its budget returned.
     fn served(&self, link: Link, more: Option<Job<O>>, stuck: bool) -> Vec<Job<O>> {
         let mut state = self.lock();
         let Some(lane) = state.lanes.get_mut(&link) else { return Vec::new() };

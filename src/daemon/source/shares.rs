@@ -36,7 +36,7 @@ impl Shares {
         self.0.hasher.hash_one(key).max(UNKNOWN + 1)
     }
 
-    /// From now on this key is a flow of its own.
+    /// Gives this key its own share from now on.
     pub fn learn(&self, key: &str) {
         let hash = self.hash(key);
         self.0.known.write().unwrap_or_else(PoisonError::into_inner).insert(hash);

@@ -30,7 +30,7 @@ const MAX_MESSAGE: usize = 4 << 20;
 const ACCEPT_WITHIN: Duration = Duration::from_secs(1);
 const ACCEPTED: usize = 2000;
 
-/// What the encoding of a schema names as its own.
+/// The prefix of a schema's encoding.
 const SCHEMA: &str = "https://json-schema.org/draft/2020-12/schema";
 
 /// How long Zenoh waits for a reader that has no room before it drops a document for it: what took less met none.
@@ -115,7 +115,7 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
 pub async fn open(config: &Config) -> anyhow::Result<(zenoh::Session, Option<String>)> {
     let strict = session_config(config)?;
     let mut patient = strict.clone();
-    // Opening blocks until a client's router is there: on a thread of its own it can be given up.
+    // Opening blocks until a client's router is there; on a separate thread it can be abandoned.
     let why = match tokio::task::spawn_blocking(|| zenoh::open(strict).wait()).await? {
         Ok(session) => return Ok((session, None)),
         Err(error) => error.to_string(),

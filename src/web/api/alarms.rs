@@ -10,13 +10,13 @@ use std::time::Duration;
 
 use super::listed::{PART, listed};
 use super::reviews::{DatedReview, newest_known};
-use super::{Answered, ENGINE_WITHIN, Operation, ResponseKind, Shared, of};
+use super::{Answered, ApiError, ENGINE_WITHIN, Operation, ResponseKind, Shared, of};
 use crate::runtime::clock::now_ns;
 use crate::runtime::control::Control;
 use crate::web::extract::{JsonBody, PathName};
 use crate::web::server::IdleTimer;
 use stiction::core::units::ns_from_s;
-use stiction_engine::alarm::{AlarmDocument, Command, State as AlarmState};
+use stiction_engine::alarm::{AlarmDocument, Command, CommandError, State as AlarmState};
 
 /// How long an alarm that is at rest again stays in the list.
 const SHOWN_S: f64 = 86_400.0;
@@ -118,8 +118,9 @@ async fn command(
     JsonBody(Commanded { cmd, by, why, for_s }): JsonBody<Commanded>,
 ) -> Answered<Value> {
     live.check_shard(&loop_name)?;
-    let command = Command { cmd, by: Some(by), why, for_s };
-    live.wish(ENGINE_WITHIN, |answer| Control::Command { loop_name, command, answer }).await.map(Json)
+    let action = cmd.parse().map_err(|error: CommandError| ApiError::unfit(error.to_string()))?;
+    let command = Command { action, by: Some(by), why, for_s };
+    live.request(ENGINE_WITHIN, |answer| Control::Command { loop_name, command, answer }).await.map(Json)
 }
 
 async fn diagnose(
@@ -128,5 +129,5 @@ async fn diagnose(
     JsonBody(Asking { by, pool }): JsonBody<Asking>,
 ) -> Answered<Value> {
     live.check_shard(&loop_name)?;
-    live.wish(DIAGNOSIS_WITHIN, |answer| Control::GapRun { loop_name, by: Some(by), pool, answer }).await.map(Json)
+    live.request(DIAGNOSIS_WITHIN, |answer| Control::GapRun { loop_name, by: Some(by), pool, answer }).await.map(Json)
 }

@@ -192,10 +192,10 @@ impl Live {
     async fn look(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
         let ending = |_| ApiError::busy("the daemon is stopping");
         let _place = self.windows.acquire().await.map_err(ending)?;
-        let (tell, told) = oneshot::channel();
-        let answer = Box::new(move |window| drop(tell.send(window)));
+        let (reply, answered) = oneshot::channel();
+        let answer = Box::new(move |window| drop(reply.send(window)));
         self.ask(Control::GetWindow { loop_name: loop_name.to_owned(), end_ns, answer })?;
-        let window: Option<WindowSnapshot> = within(ENGINE_WITHIN, told).await?;
+        let window: Option<WindowSnapshot> = within(ENGINE_WITHIN, answered).await?;
         let unknown = || ApiError::not_found(format!("no loop {loop_name:?} has appeared"));
         let WindowSnapshot { snapshot, settings } = window.ok_or_else(unknown)?;
         self.computations
@@ -206,27 +206,27 @@ impl Live {
             .await
     }
 
-    /// A person's wish, answered by a document or by what is wrong with it.
-    async fn wish(
+    /// A person's request, answered by a document or by what is wrong with it.
+    async fn request(
         &self,
         patience: Duration,
-        wish: impl FnOnce(Answer) -> Control,
+        request: impl FnOnce(Answer) -> Control,
     ) -> Result<serde_json::Value, ApiError> {
-        let (tell, told) = oneshot::channel();
-        self.ask(wish(Box::new(move |result| drop(tell.send(result)))))?;
-        let document = within(patience, told).await?.map_err(ApiError::unfit)?;
+        let (reply, answer) = oneshot::channel();
+        self.ask(request(Box::new(move |result| drop(reply.send(result)))))?;
+        let document = within(patience, answer).await?.map_err(ApiError::unfit)?;
         serde_json::from_slice(&document).map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))
     }
 
-    fn ask(&self, wish: Control) -> Result<(), ApiError> {
-        self.control.try_send(wish).map_err(|_| ApiError::busy("the daemon is too busy to answer: try again"))
+    fn ask(&self, request: Control) -> Result<(), ApiError> {
+        self.control.try_send(request).map_err(|_| ApiError::busy("the daemon is too busy to answer: try again"))
     }
 }
 
-async fn within<T>(patience: Duration, told: oneshot::Receiver<T>) -> Result<T, ApiError> {
+async fn within<T>(patience: Duration, answered: oneshot::Receiver<T>) -> Result<T, ApiError> {
     let late = || ApiError::new(StatusCode::GATEWAY_TIMEOUT, "the engine did not answer in time: try again");
     let ended = |_| ApiError::busy("the daemon ended before it answered");
-    tokio::time::timeout(patience, told).await.map_err(|_| late())?.map_err(ended)
+    tokio::time::timeout(patience, answered).await.map_err(|_| late())?.map_err(ended)
 }
 
 /// Every operation of a running daemon.

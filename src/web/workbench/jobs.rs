@@ -236,10 +236,10 @@ pub struct Step<'j> {
 impl Step<'_> {
     /// Says that it begins.
     pub fn begin(&self) {
-        self.tell(0.0, self.words.clone());
+        self.show(0.0, self.words.clone());
     }
 
-    fn tell(&self, share: f64, words: String) {
+    fn show(&self, share: f64, words: String) {
         let [done, of] = self.place.map(|steps| steps as f64);
         self.job.change(|made| made.progress = Progress { done: done + share.clamp(0.0, 1.0), of: Some(of), words });
     }
@@ -248,7 +248,7 @@ impl Step<'_> {
 impl Watch for Step<'_> {
     fn reached(&self, done: u64, of: u64, _: &str) {
         let share = if of == 0 { 0.0 } else { done as f64 / of as f64 };
-        self.tell(share, format!("{}: {done} of at most {of} {}", self.words, self.counted));
+        self.show(share, format!("{}: {done} of at most {of} {}", self.words, self.counted));
     }
 
     fn go_on(&self) -> bool {

@@ -304,7 +304,7 @@ impl Shelf {
     fn read(&self, source: &Source) -> Result<Arc<Opened>, Fault> {
         let _alone = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         let Source { unit, called, options, .. } = source;
-        let failed = |error: String| Fault::wrong(told(&error, &unit.paths, called));
+        let failed = |error: String| Fault::wrong(with_names(&error, &unit.paths, called));
         let loaded = match (&unit.paths[..], &called[..]) {
             ([path], [name]) => stiction_files::load_as(path, Path::new(name), options),
             _ => unit.load(options),
@@ -470,9 +470,9 @@ fn gone(id: &str) -> Fault {
 }
 
 /// An error that calls files what their owners call them.
-fn told(error: &str, paths: &[PathBuf], called: &[String]) -> String {
-    let told = |text: String, (path, name): (&PathBuf, &String)| text.replace(&path.display().to_string(), name);
-    paths.iter().zip(called).fold(error.to_owned(), told)
+fn with_names(error: &str, paths: &[PathBuf], called: &[String]) -> String {
+    let named = |text: String, (path, name): (&PathBuf, &String)| text.replace(&path.display().to_string(), name);
+    paths.iter().zip(called).fold(error.to_owned(), named)
 }
 
 /// Several files of one loop in one name.

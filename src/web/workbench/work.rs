@@ -151,7 +151,7 @@ impl<'b> Bench<'b> {
         let answer =
             found.answer(&self.one.name, &self.config.hash(), elapsed_ms, solver, scored.transpose().map_err(wrong)?);
         let Estimated { record, params, notes, .. } = found;
-        let told = SectionResult {
+        let section = SectionResult {
             section: section.words(),
             model: Some(run.word()),
             document: serde_json::to_value(&answer).map_err(|error| Fault::own(error.to_string()))?,
@@ -162,7 +162,7 @@ impl<'b> Bench<'b> {
         };
         let units = self.one.units.clone();
         let looked_at = Analysed { record, original, about: self.one.about.clone(), units, params, notes: Vec::new() };
-        Ok((answer, looked_at, told))
+        Ok((answer, looked_at, section))
     }
 
     /// What the solver finds that was asked for.
@@ -258,7 +258,7 @@ impl<'b> Bench<'b> {
         let assessment = analysis::gap::assessment(self.points, section, &self.job.task.cut);
         let found = analysis::gap::diagnose(&self.one.name, record, &options, &team, assessment).map_err(wrong)?;
         let whole = self.points.samples(section).map_err(wrong)?;
-        let told = SectionResult {
+        let section = SectionResult {
             section: section.words(),
             document: serde_json::to_value(&found.document).map_err(|error| Fault::own(error.to_string()))?,
             text: gap_text::verbose(&found.document),
@@ -270,7 +270,7 @@ impl<'b> Bench<'b> {
             predictions: Some(Arc::new(rows(&whole, &found.record, &found.diagnosis))),
             ..SectionResult::default()
         };
-        Ok((found, told))
+        Ok((found, section))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use stiction_engine::alarm::Command;
+use stiction_engine::alarm::{AlarmAction, Command};
 use stiction_engine::config::Config;
 use stiction_files::disk::{Disk, SystemDisk};
 use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
@@ -29,7 +29,7 @@ fn a_command_is_taken_and_answered_while_samples_fill_their_queue() {
     let answers = Arc::new(Mutex::new(Vec::new()));
     for _ in 0..10 {
         let told = answers.clone();
-        let command = Command { cmd: "out_of_service".into(), by: Some("ann".into()), why: None, for_s: None };
+        let command = Command { action: AlarmAction::OutOfService, by: Some("ann".into()), why: None, for_s: None };
         let answer = Box::new(move |answer: Result<_, String>| told.lock().unwrap().push(answer.is_ok()));
         assert!(stage.command("A", command, answer), "refused because samples wait");
     }

@@ -11,7 +11,7 @@ use std::time::Duration;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde_json::Value;
-use stiction_engine::alarm::{Command, State};
+use stiction_engine::alarm::{AlarmAction, Command, State};
 use stiction_engine::codec::topic::Kind;
 use stiction_engine::config::{Config, ConfigChanges};
 use stiction_files::disk::{Disk, SystemDisk};
@@ -85,7 +85,7 @@ impl Site {
                 k @ 0..4 => UNEDITED[k as usize].to_owned(),
                 k => format!("E{}", k - 4),
             };
-            let command = Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s: None };
+            let command = Command { action: cmd.parse().unwrap(), by: Some("ann".into()), why: None, for_s: None };
             assert!(self.stage.command(&name, command, Box::new(|_| ())));
         }
         self.stage.turn();
@@ -250,7 +250,7 @@ fn a_removed_loop_takes_its_alarm_along_and_starts_empty_when_it_is_added_again(
     assert_eq!(stage.overview().rows_after(0, None, usize::MAX, 0).len(), 1, "it is gone from the page");
     let answer = Arc::new(Mutex::new(None));
     let (told, command) =
-        (answer.clone(), Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None });
+        (answer.clone(), Command { action: AlarmAction::Ack, by: Some("ann".into()), why: None, for_s: None });
     assert!(stage.command(STICKS, command, Box::new(move |result| *told.lock().unwrap() = Some(result.is_ok()))));
     play(&mut stage, STICKS, 86_400_000_000_000);
     assert_eq!((*answer.lock().unwrap(), shown(&stage, STICKS)), (Some(false), None));

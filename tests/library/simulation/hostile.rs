@@ -180,7 +180,7 @@ impl Site {
         const ALL: [&str; 7] = ["ack", "shelve", "unshelve", "suppress", "unsuppress", "out_of_service", "in_service"];
         let (cmd, loop_name) = (ALL[self.draw(7) as usize], name(self.draw(LOOPS)));
         let for_s = (cmd == "shelve").then_some(60);
-        let command = Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s };
+        let command = Command { action: cmd.parse().unwrap(), by: Some("ann".into()), why: None, for_s };
         self.stage().command(&loop_name, command, Box::new(|_| ()));
     }
 

@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use stiction::core::record::Sample;
 use stiction::core::sim::scenario::Scenario;
-use stiction_engine::alarm::{Command, State};
+use stiction_engine::alarm::{AlarmAction, Command, State};
 use stiction_engine::codec::encode_recorded;
 use stiction_engine::config::Config;
 use stiction_files::disk::{Disk, SystemDisk};
 use stictiond::daemon::replay::chains_of;
-use stictiond::daemon::rerun::Rerun;
+use stictiond::daemon::replay::parallel::ParallelReplay;
 use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
 use stictiond::runtime::clock::Clock;
 
@@ -71,7 +71,7 @@ fn loops_that_left_are_forgotten_and_come_back_and_replay_says_the_same() {
     // People still find the alarm of one that left.
     let answered = Arc::new(Mutex::new(None));
     let (told, command) =
-        (answered.clone(), Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None });
+        (answered.clone(), Command { action: AlarmAction::Ack, by: Some("ann".into()), why: None, for_s: None });
     assert!(stage.command(STICKS, command, Box::new(move |answer| *told.lock().unwrap() = Some(answer))));
     stage.turn();
     assert!(stage.keep());
@@ -84,7 +84,7 @@ fn loops_that_left_are_forgotten_and_come_back_and_replay_says_the_same() {
     assert_eq!((shown(&stage, STICKS), stage.engine().places()), (Some(State::Acked), 2));
     stage.finish();
     drop(stage);
-    let mut replay = Rerun::new(&config, Some("stage"), false);
+    let mut replay = ParallelReplay::new(&config, Some("stage"), false);
     let chains = chains_of(dir.path()).unwrap();
     // A file ends when the last of its loops leaves: after the first silence, and after the acknowledged loop has left again.
     assert_eq!((chains.len(), chains[0].len()), (1, 3));

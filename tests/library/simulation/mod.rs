@@ -384,7 +384,7 @@ impl Simulation {
         let cmd = ALL[below(&mut self.random, 9) as usize];
         let for_s = [None, Some(0), Some(90_000), Some(400_000)][below(&mut self.random, 4) as usize];
         let asked = Asked { loop_name: loop_name.clone(), cmd, for_s };
-        let command = Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s };
+        let command = Command { action: cmd.parse().unwrap(), by: Some("ann".into()), why: None, for_s };
         let (answers, about) = (self.answers.clone(), asked.clone());
         let answer = Box::new(move |result| answers.lock().unwrap().push((about, result)));
         if self.stage.command(&loop_name, command, answer) {

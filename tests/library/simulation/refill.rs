@@ -11,10 +11,10 @@ use stiction_engine::config::Config;
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_files::run::RunMetadata;
 use stiction_files::{RecordingFile, RecordingReader};
+use stictiond::daemon::replay::parallel::ParallelReplay;
 use stictiond::daemon::replay::{chains_of, files_before};
-use stictiond::daemon::rerun::Rerun;
 use stictiond::daemon::sim_daemon::{SimDaemon, no_receiver};
-use stictiond::daemon::sink::recorder::shard_of;
+use stictiond::daemon::sink::recorder::segment_of;
 use stictiond::runtime::clock::Clock;
 
 const NAMES: [&str; 2] = ["A", "B"];
@@ -93,7 +93,7 @@ fn metadata(file: &Path) -> RunMetadata {
 /// Replays files, the last of which is compared.
 fn compare_last(files: &[PathBuf]) -> usize {
     let last = files.last().unwrap();
-    let mut replay = Rerun::new(&metadata(last).config, Some("stage"), false);
+    let mut replay = ParallelReplay::new(&metadata(last).config, Some("stage"), false);
     let report = |(at, file): (usize, &PathBuf)| replay.file(file, "p", at == 0, true).unwrap();
     let report = files.iter().enumerate().map(report).last().unwrap();
     assert_eq!(report.difference, None, "{files:?}");
@@ -104,7 +104,7 @@ fn compare_last(files: &[PathBuf]) -> usize {
 pub fn chains_replay_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;
     for chain in chains_of(dir).unwrap() {
-        let mut replay = Rerun::new(&metadata(&chain[0]).config, Some("stage"), false);
+        let mut replay = ParallelReplay::new(&metadata(&chain[0]).config, Some("stage"), false);
         for (at, file) in chain.iter().enumerate() {
             let report = replay.file(file, "p", at == 0, true).unwrap();
             assert_eq!(report.difference, None, "{}", file.display());
@@ -119,7 +119,7 @@ pub fn runs_replay_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;
     for chain in chains_of(dir).unwrap() {
         let before = files_before(&chain).unwrap();
-        let mut replay = Rerun::new(&metadata(&chain[0]).config, Some("stage"), false);
+        let mut replay = ParallelReplay::new(&metadata(&chain[0]).config, Some("stage"), false);
         for (at, file) in before.iter().chain(&chain).enumerate() {
             let report = replay.file(file, "p", at == 0, at >= before.len()).unwrap();
             assert_eq!(report.difference, None, "{}", file.display());
@@ -210,7 +210,7 @@ fn loops_keep_their_shards_over_a_start() {
     site.start(60.0);
     site.send(&names, 3, 0);
     let shards = |stage: &SimDaemon| -> Vec<usize> {
-        names.iter().map(|name| shard_of(stage.engine().find(name).unwrap())).collect()
+        names.iter().map(|name| segment_of(stage.engine().find(name).unwrap())).collect()
     };
     let before = shards(site.stage.as_ref().unwrap());
     site.kill();

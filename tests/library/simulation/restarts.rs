@@ -53,7 +53,8 @@ fn pass(stage: &mut SimDaemon, clock: &Clock, seconds: u64) {
 
 fn command(stage: &mut SimDaemon, name: &str, cmd: &str) -> Result<Vec<u8>, String> {
     let answer = Arc::new(Mutex::new(None));
-    let (told, command) = (answer.clone(), Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s: None });
+    let (told, command) =
+        (answer.clone(), Command { action: cmd.parse().unwrap(), by: Some("ann".into()), why: None, for_s: None });
     assert!(stage.command(name, command, Box::new(move |result| *told.lock().unwrap() = Some(result))));
     stage.turn();
     stage.record();

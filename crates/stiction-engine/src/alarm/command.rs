@@ -1,5 +1,7 @@
 //! Commands on an alarm and their validation.
 
+use std::str::FromStr;
+
 use serde::{Deserialize, Serialize};
 
 /// Why a command was refused.
@@ -77,17 +79,74 @@ impl Command {
     /// # Errors
     /// [`CommandError`] with what is missing or too long.
     pub fn check(&self) -> Result<(), CommandError> {
-        check_text("cmd", &self.cmd, NAME_BYTES)?;
         check_name(self.by.as_deref())?;
         self.why.as_deref().map_or(Ok(()), |why| check_text("why", why, WHY_BYTES))
+    }
+}
+
+/// What a person does with an alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AlarmAction {
+    /// Sees it.
+    Ack,
+    /// Puts it aside for a while.
+    Shelve,
+    /// Ends that before its time.
+    Unshelve,
+    /// Puts it aside until further notice.
+    Suppress,
+    /// Ends that.
+    Unsuppress,
+    /// Takes it out of service.
+    OutOfService,
+    /// Puts it back into service.
+    InService,
+}
+
+impl AlarmAction {
+    /// All of them.
+    pub const ALL: [Self; 7] = [
+        Self::Ack,
+        Self::Shelve,
+        Self::Unshelve,
+        Self::Suppress,
+        Self::Unsuppress,
+        Self::OutOfService,
+        Self::InService,
+    ];
+
+    /// Its word in commands and recordings.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ack => "ack",
+            Self::Shelve => "shelve",
+            Self::Unshelve => "unshelve",
+            Self::Suppress => "suppress",
+            Self::Unsuppress => "unsuppress",
+            Self::OutOfService => "out_of_service",
+            Self::InService => "in_service",
+        }
+    }
+}
+
+impl FromStr for AlarmAction {
+    type Err = CommandError;
+
+    fn from_str(word: &str) -> Result<Self, CommandError> {
+        check_text("cmd", word, NAME_BYTES)?;
+        let found = Self::ALL.into_iter().find(|action| action.name() == word);
+        found.ok_or_else(|| CommandError::Unknown(word.to_owned()))
     }
 }
 
 /// A command on an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Command {
-    /// `ack`, `shelve`, `unshelve`, `suppress`, `unsuppress`, `out_of_service` or `in_service`.
-    pub cmd: String,
+    /// What is done.
+    #[serde(rename = "cmd")]
+    pub action: AlarmAction,
     /// Who sends it.
     pub by: Option<String>,
     /// Why.
@@ -111,7 +170,7 @@ mod tests {
     #[test]
     fn a_command_needs_a_name_and_plain_words_of_some_length() {
         let command = |by: Option<&str>, why: &str| Command {
-            cmd: "ack".into(),
+            action: AlarmAction::Ack,
             by: by.map(str::to_owned),
             why: Some(why.to_owned()),
             for_s: None,
@@ -124,7 +183,13 @@ mod tests {
         assert_eq!(command(Some("ann"), "\u{9b}2J").check(), Err(CommandError::Control("why")));
         assert!(matches!(command(Some(&"n".repeat(65)), "").check(), Err(CommandError::TooLong { limit: 64, .. })));
         assert!(matches!(command(Some("ann"), &"w".repeat(60_000)).check(), Err(CommandError::TooLong { .. })));
-        let unknown = Command { cmd: "z".repeat(100_000), by: Some("ann".into()), why: None, for_s: None };
-        assert!(unknown.check().unwrap_err().to_string().len() < 200);
+        assert!("z".repeat(100_000).parse::<AlarmAction>().unwrap_err().to_string().len() < 200);
+        assert!(matches!("explode".parse::<AlarmAction>(), Err(CommandError::Unknown(_))));
+        for action in AlarmAction::ALL {
+            assert_eq!(
+                (action.name().parse(), serde_json::to_value(action).unwrap()),
+                (Ok(action), action.name().into())
+            );
+        }
     }
 }

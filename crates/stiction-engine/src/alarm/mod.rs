@@ -12,7 +12,7 @@ mod why;
 use serde::{Deserialize, Serialize};
 use stiction::core::ident::region::Size;
 
-pub use command::{Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
+pub use command::{AlarmAction, Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
 pub use document::{ALARM_SCHEMA, AlarmDocument, AlarmWindow, Event, Figures, LoopContext, Mark, Marks};
 pub use params::AlarmParams;
 pub use priority::Priority;
@@ -301,36 +301,35 @@ impl Alarm {
     pub fn command(&mut self, loop_name: &str, c: &Command, at_ns: i64) -> Result<AlarmDocument, CommandError> {
         let by = c.by.as_deref().filter(|by| !by.trim().is_empty()).ok_or(CommandError::Nameless)?;
         let mark = |until_ns| Some(Mark::new(by, c.why.as_ref(), at_ns, until_ns));
-        let event = match c.cmd.as_str() {
-            "ack" => {
+        let event = match c.action {
+            AlarmAction::Ack => {
                 self.acknowledge(loop_name)?;
                 self.marks.acknowledged = mark(None);
                 Event::Acknowledged
             }
-            "shelve" => {
+            AlarmAction::Shelve => {
                 self.shelve(loop_name, c.for_s.unwrap_or(SHELVE_S), at_ns)?;
                 self.marks.shelved = mark(self.aside.shelved_until_ns);
                 Event::Shelved
             }
-            "unshelve" => {
+            AlarmAction::Unshelve => {
                 let shelved = self.aside.shelved_until_ns.take().is_some();
                 self.expect(loop_name, shelved, "it is not shelved")?;
                 self.marks.shelved = None;
                 Event::Unshelved
             }
-            "suppress" | "unsuppress" => {
-                let on = c.cmd == "suppress";
+            AlarmAction::Suppress | AlarmAction::Unsuppress => {
+                let on = c.action == AlarmAction::Suppress;
                 self.put(loop_name, |aside| &mut aside.suppressed, on)?;
                 self.marks.suppressed = mark(None).filter(|_| on);
                 if on { Event::Suppressed } else { Event::Unsuppressed }
             }
-            "out_of_service" | "in_service" => {
-                let out = c.cmd == "out_of_service";
+            AlarmAction::OutOfService | AlarmAction::InService => {
+                let out = c.action == AlarmAction::OutOfService;
                 self.put(loop_name, |aside| &mut aside.out_of_service, out)?;
                 self.marks.out_of_service = mark(None).filter(|_| out);
                 if out { Event::OutOfService } else { Event::InService }
             }
-            other => return Err(CommandError::Unknown(other.to_owned())),
         };
         let detail = c.why.clone().unwrap_or_else(|| done_by(event).to_owned());
         Ok(self.changed(loop_name, at_ns, event, Some(by.to_owned()), detail))

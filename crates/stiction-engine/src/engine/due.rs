@@ -65,7 +65,7 @@ pub struct Request {
     pub end_ns: i64,
     /// How it is computed.
     pub settings: Arc<LoopSettings>,
-    /// What it is computed from.
+    /// The loop's history when it was due.
     pub(super) snapshot: Snapshot,
     /// Values that were bad since the last point.
     pub(super) bad: u16,
@@ -131,7 +131,7 @@ pub(super) struct Waiting {
     pub seq: u64,
     /// The window's name, ns.
     pub end_ns: i64,
-    /// What its document says of it where nobody computes it.
+    /// The window in its document where nobody computes it.
     latest: Window,
     pub answer: Option<(Assessment, Option<Computed>)>,
 }

@@ -70,7 +70,7 @@ pub(super) struct Accepted {
     window_end_ns: i64,
 }
 
-/// What a watch asks of a window's record: computed with the window's estimate, not on the engine's thread.
+/// Figures of a window's record for the watch: computed with the window's estimate, not on the engine's thread.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Watched {
     /// The model that was accepted when the window was due.

@@ -38,7 +38,7 @@ pub enum Misplaced {
     SamePv(Arc<str>),
     /// OP is that of this loop, whose controller it fits.
     SameOp(Arc<str>),
-    /// The controller answers the PV of this loop, which no controller of its own answers.
+    /// The controller answers the PV of this loop, to which its own controller does not respond.
     AnswersPv(Arc<str>),
     /// The valve position falls while OP rises.
     OppositePosition,

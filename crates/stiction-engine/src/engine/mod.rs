@@ -1,15 +1,15 @@
 //! The core of the daemon: one state machine per loop, told the time and handed the data.
 //!
-//! [`Engine::push`] takes a sample, [`Engine::complete`] the answer to a request, [`Engine::command`] a person's wish;
+//! [`Engine::push`] takes a sample, [`Engine::complete`] the answer to a request, [`Engine::command`] a person's command;
 //! each puts [`Event`]s out. There is no clock, thread or file below here, and no window is cut or fitted inline: a due
 //! window leaves as a [`Request`] with a snapshot of the loop's history, and whoever drives the engine computes it. Answers are consumed per
 //! loop in the order of the windows, so everything after them depends on that order and on event time alone.
-//! Gap diagnoses leave as [`GapRequest`]s of their own; see [`gaps`] for when.
+//! Gap diagnoses leave as separate [`GapRequest`]s; see [`gaps`] for when.
 
 mod due;
 pub mod gaps;
 mod input;
-mod looper;
+mod loop_state;
 mod misplaced;
 mod neighbours;
 pub mod plant;
@@ -23,7 +23,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
-use looper::Loop;
+use loop_state::LoopState;
 use stiction::core::record::Sample;
 use stiction::core::signal::align::{AlignCounts, Aligner};
 use stiction::core::verdict::EstimateDocument;
@@ -108,7 +108,7 @@ pub struct Checkpoint {
     pub stream: Option<StreamState>,
 }
 
-/// Where a loop's stream of points stands.
+/// Progress of a loop's stream of points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StreamState {
     aligner: Aligner,
@@ -154,24 +154,24 @@ impl StreamState {
 #[derive(Debug)]
 pub struct Engine {
     settings: EngineSettings,
-    /// Loops with settings of their own that are not there: their places are kept.
+    /// Loops with `[[loop]]` settings that have not appeared: their places are kept.
     own_absent: usize,
     /// By handle; none where a loop was forgotten.
-    loops: Vec<Option<Box<Loop>>>,
+    loops: Vec<Option<Box<LoopState>>>,
     by_name: HashMap<Arc<str>, LoopId>,
     /// Handles of loops that were forgotten: the next loops get them.
     free: BTreeSet<LoopId>,
     /// Memory of loops that are not there, for when they come back: of forgotten ones where the alarm is not at rest.
     left: HashMap<Arc<str>, Checkpoint>,
     /// Stands in for a loop that was forgotten: whoever still has its handle finds nothing.
-    nobody: Box<Loop>,
+    nobody: Box<LoopState>,
 }
 
 impl Engine {
-    /// An engine without loops; those with settings of their own appear with their first sample, as others do.
+    /// An engine without loops; those with `[[loop]]` settings appear with their first sample, as others do.
     #[must_use]
     pub fn new(settings: EngineSettings) -> Self {
-        let nobody = Box::new(Loop::new("".into(), settings.common[0].clone()));
+        let nobody = Box::new(LoopState::new("".into(), settings.common[0].clone()));
         let (loops, by_name, free, left) = (Vec::new(), HashMap::new(), BTreeSet::new(), HashMap::new());
         Self { own_absent: settings.own.len(), settings, loops, by_name, free, left, nobody }
     }
@@ -183,11 +183,11 @@ impl Engine {
         self
     }
 
-    fn of(&self, id: LoopId) -> &Loop {
+    fn of(&self, id: LoopId) -> &LoopState {
         self.loops.get(id.index()).and_then(Option::as_deref).unwrap_or(&self.nobody)
     }
 
-    fn of_mut(&mut self, id: LoopId) -> &mut Loop {
+    fn of_mut(&mut self, id: LoopId) -> &mut LoopState {
         self.loops.get_mut(id.index()).and_then(Option::as_deref_mut).unwrap_or(&mut self.nobody)
     }
 
@@ -244,7 +244,7 @@ impl Engine {
         if let Some(id) = self.find(name) {
             return id;
         }
-        let mut new = Loop::new(name.into(), self.settings.of(name).clone());
+        let mut new = LoopState::new(name.into(), self.settings.of(name).clone());
         if let Some(memory) = self.left.remove(name) {
             (new.alarm, new.gap, new.group) = (memory.alarm, memory.gap, memory.group);
         }
@@ -261,7 +261,7 @@ impl Engine {
         document.map(|document| self.signed(document))
     }
 
-    fn put(&mut self, id: LoopId, new: Box<Loop>) {
+    fn put(&mut self, id: LoopId, new: Box<LoopState>) {
         while self.loops.len() <= id.index() {
             self.free.insert(LoopId(self.loops.len() as u32));
             self.loops.push(None);
@@ -295,7 +295,7 @@ impl Engine {
         self.find(name).is_some() || self.has_room_for(self.settings.own.contains_key(name))
     }
 
-    /// Whether a loop without settings of its own may still appear.
+    /// Whether a loop without `[[loop]]` settings may still appear.
     #[must_use]
     pub fn has_room(&self) -> bool {
         self.has_room_for(false)
@@ -319,7 +319,7 @@ impl Engine {
             return false;
         }
         let Some(gone) = self.loops.get_mut(id.index()).and_then(Option::take) else { return false };
-        let Loop { name, alarm, gap, .. } = *gone;
+        let LoopState { name, alarm, gap, .. } = *gone;
         self.by_name.remove(&name);
         self.free.insert(id);
         self.own_absent += usize::from(self.settings.own.contains_key(&*name));

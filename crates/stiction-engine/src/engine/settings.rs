@@ -85,7 +85,7 @@ impl Default for GapParams {
     }
 }
 
-/// Settings of a loop, shared by all loops that say nothing of their own.
+/// Settings of a loop, shared by all loops without a `[[loop]]` entry.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoopSettings {
     /// Foreign keys that its signals come under.
@@ -148,7 +148,7 @@ pub struct EngineSettings {
     pub daemon: Option<Arc<str>>,
     /// Loops beyond this many do not appear.
     pub max_loops: usize,
-    /// Settings of loops that have none of their own, by what their tags say they control.
+    /// Settings of loops without a `[[loop]]` entry, by what their tags say they control.
     pub common: [Arc<LoopSettings>; LoopKind::ALL.len()],
     /// Settings of loops that have their own, by name: their places are kept.
     pub own: Arc<HashMap<String, Arc<LoopSettings>>>,

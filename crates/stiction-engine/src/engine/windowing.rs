@@ -79,7 +79,7 @@ fn fastest_period(stretch: &[Point], params: &WindowParams) -> Option<f64> {
 }
 
 /// The record of a section that a person chose: the longest stretch without a gap between two stamps (ends included),
-/// named by `end_ns`, boxed as the daemon would box it. Also says how many points of the section stand outside it.
+/// named by `end_ns`, boxed as the daemon would box it. Also gives the number of points of the section outside it.
 #[must_use]
 pub fn section(
     stretches: &[Vec<Point>],

@@ -83,7 +83,8 @@ impl Held {
                 (self.windows, self.silent, self.restored, self.estimate) = (self.windows + 1, false, false, Some(a));
             }
             Step::Command(cmd) => {
-                let command = Command { cmd: (*cmd).to_owned(), by: Some("ann".to_owned()), why: None, for_s: None };
+                let command =
+                    Command { action: cmd.parse().unwrap(), by: Some("ann".to_owned()), why: None, for_s: None };
                 self.document = self.alarm.command("L", &command, 0).ok().or(self.document.take());
             }
             Step::Silent(silent) => self.silent = *silent,

@@ -26,7 +26,7 @@ pub(super) struct Letter {
     pub why: String,
 }
 
-/// What is written next.
+/// The next changes to write.
 #[derive(Default)]
 pub(super) struct Batch {
     pub puts: BTreeMap<String, Arc<Item>>,

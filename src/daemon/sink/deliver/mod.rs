@@ -1,4 +1,4 @@
-//! Documents to receivers outside the bus. Each receiver has a queue of its own and gets one document after the other. A
+//! Documents to receivers outside the bus. Each receiver has its own queue and gets one document after the other. A
 //! receiver that is away is tried again until it is back; a document that it refuses goes to the dead-letter file and
 //! blocks nothing. What waits is in a store beside the recordings, so a restart loses nothing and may send a document
 //! twice, under the same identity.
@@ -147,7 +147,7 @@ pub fn check(d: &Deliver) -> anyhow::Result<()> {
 #[derive(Clone)]
 pub struct Outbox(Arc<Handed>);
 
-/// What the copies share; without it nothing more can come.
+/// State shared by all copies; it is gone once nothing more can come.
 struct Handed {
     ledger: Arc<Ledger>,
     wanted: Vec<String>,

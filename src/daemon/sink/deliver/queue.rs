@@ -9,7 +9,7 @@ use crate::runtime::clock::Clock;
 use crate::runtime::metrics::{Label, Metrics};
 use stiction_engine::config::Deliver;
 
-/// What a receiver's thread does next.
+/// Next step of a receiver's thread.
 pub(super) enum Next {
     /// Sends this.
     Send(u64, Arc<Item>),

@@ -17,7 +17,7 @@ use crate::runtime::secrets::secret;
 use crate::runtime::tls;
 use stiction_engine::config::Deliver;
 
-/// What a body is.
+/// Content type of a body.
 const CONTENT_TYPE: &str = "application/cloudevents+json; charset=utf-8";
 /// Answers of the 4xx class that say something about the place, the sender or the moment and not about the document: those
 /// are tried again. All others mean that this document will never be taken.
@@ -116,7 +116,7 @@ fn cloud_event(item: &Item) -> String {
     event.to_string()
 }
 
-/// The site as a URI: what may not stand in one goes in by its bytes.
+/// The site as a URI: other characters are percent-encoded.
 fn source(prefix: &str) -> String {
     let plain = |b: u8| b.is_ascii_alphanumeric() || b"-._~/".contains(&b);
     let part = |b: u8| if plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") };

@@ -27,7 +27,7 @@ const REFUSED_FOR: Duration = if cfg!(test) { Duration::from_millis(200) } else 
 /// Makes what sends to a receiver; nothing is connected yet.
 pub type MakeTarget = Box<dyn Fn() -> anyhow::Result<Box<dyn Target>> + Send>;
 
-/// What comes after a step.
+/// Outcome of a step.
 pub(super) enum Step {
     /// The next one.
     Next,
@@ -48,7 +48,7 @@ struct NotNow {
     answered: bool,
 }
 
-/// What a receiver's thread works with.
+/// Everything that a receiver's thread owns.
 pub(super) struct Worker {
     pub queue: Arc<Queue>,
     pub ledger: Arc<Ledger>,

@@ -3,9 +3,9 @@
 
 use std::sync::Arc;
 
-use super::{Item, MANY_CHANNELS, shard_of};
+use super::{Item, MANY_CHANNELS, segment_of};
 
-/// What a loop has in the open file of its shard.
+/// A loop's channels in the open file of its segment.
 #[derive(Debug, Clone, Copy, Default)]
 struct Slot {
     /// Where its name is: another loop may have had the handle before.
@@ -22,7 +22,7 @@ struct OpenFile {
     is_full: bool,
 }
 
-/// The channels of all shards.
+/// The channels of all segments.
 #[derive(Debug, Default)]
 pub(super) struct Channels {
     slots: Vec<Slot>,
@@ -30,11 +30,11 @@ pub(super) struct Channels {
 }
 
 impl Channels {
-    /// Counts a message that is recorded; gives its shard where that needs its next file now.
+    /// Counts a message that is recorded; gives its segment where that needs its next file now.
     pub fn count(&mut self, item: &Item) -> Option<usize> {
         let (id, name, bit) = match item {
-            Item::Open { shard, .. } => {
-                let file = self.file(*shard);
+            Item::Open { segment, .. } => {
+                let file = self.file(*segment);
                 *file = OpenFile { number: file.number.wrapping_add(1), ..OpenFile::default() };
                 return None;
             }
@@ -44,8 +44,8 @@ impl Channels {
             Item::Document { id, name, kind, .. } => (*id, name, 8 + *kind as u32),
             Item::Close { .. } | Item::Configuration { .. } => return None,
         };
-        let shard = shard_of(id);
-        let number = self.file(shard).number;
+        let segment = segment_of(id);
+        let number = self.file(segment).number;
         if self.slots.len() <= id.index() {
             self.slots.resize(id.index() + 1, Slot::default());
         }
@@ -58,16 +58,16 @@ impl Channels {
         if std::mem::replace(&mut slot.seen, seen) == seen {
             return None;
         }
-        let file = self.file(shard);
+        let file = self.file(segment);
         file.channels += 1;
         let is_full = file.channels >= MANY_CHANNELS;
-        (is_full && !std::mem::replace(&mut file.is_full, is_full)).then_some(shard)
+        (is_full && !std::mem::replace(&mut file.is_full, is_full)).then_some(segment)
     }
 
-    fn file(&mut self, shard: usize) -> &mut OpenFile {
-        if self.files.len() <= shard {
-            self.files.resize(shard + 1, OpenFile::default());
+    fn file(&mut self, segment: usize) -> &mut OpenFile {
+        if self.files.len() <= segment {
+            self.files.resize(segment + 1, OpenFile::default());
         }
-        &mut self.files[shard]
+        &mut self.files[segment]
     }
 }

@@ -13,12 +13,12 @@ struct Unfinished {
     error: Option<String>,
 }
 
-/// What the recorder has done, shared by its thread and those who watch it.
+/// Progress of the recorder, shared by its thread and those who watch it.
 #[derive(Debug, Default)]
 pub struct Progress {
     taken: AtomicU64,
     finished: AtomicU64,
-    /// Files that are not finished, by shard.
+    /// Files that are not finished, by segment.
     unfinished: Mutex<BTreeMap<usize, Unfinished>>,
 }
 
@@ -57,20 +57,20 @@ impl Progress {
         self.finished.fetch_add(1, Ordering::Relaxed);
     }
 
-    pub(crate) fn open(&self, shard: usize, path: PathBuf) {
-        self.files(|files| drop(files.insert(shard, Unfinished { path, error: None })));
+    pub(crate) fn open(&self, segment: usize, path: PathBuf) {
+        self.files(|files| drop(files.insert(segment, Unfinished { path, error: None })));
     }
 
-    pub(crate) fn fail(&self, shard: usize, error: &str) {
+    pub(crate) fn fail(&self, segment: usize, error: &str) {
         self.files(|files| {
-            if let Some(file) = files.get_mut(&shard) {
+            if let Some(file) = files.get_mut(&segment) {
                 file.error = Some(error.to_owned());
             }
         });
     }
 
-    pub(super) fn close(&self, shard: usize) {
-        self.files(|files| drop(files.remove(&shard)));
+    pub(super) fn close(&self, segment: usize) {
+        self.files(|files| drop(files.remove(&segment)));
     }
 
     fn files<T>(&self, call: impl FnOnce(&mut BTreeMap<usize, Unfinished>) -> T) -> T {

@@ -1,4 +1,4 @@
-//! A run: what its files say of it, and which earlier run it goes on from.
+//! Metadata of a run's files, and the earlier run that it continues.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use stiction_engine::engine::Origins;
 use stiction_files::columns::{METADATA_COLUMNS, METADATA_RAW};
 use stiction_files::run::{ORIGINS, REFILLED_FROM};
 
-/// What all files of a run say of themselves.
+/// Metadata that all files of a run share.
 #[derive(Debug, Clone)]
 pub struct RunInfo {
     /// First chunks of every topic.
@@ -26,11 +26,11 @@ pub struct RunInfo {
     pub daemon: String,
     /// How its samples are written: `json` or `columns`.
     pub raw: String,
-    /// The shards that go on where an earlier run ended.
+    /// The segments that go on where an earlier run ended.
     pub continued: BTreeMap<usize, Continued>,
 }
 
-/// What a file says of its configuration.
+/// The configuration as a file records it.
 #[derive(Debug, Clone, Default)]
 pub struct RecordedConfig {
     /// Its text.
@@ -60,7 +60,7 @@ impl RecordedConfig {
     }
 }
 
-/// Where the loops of a shard come from whose windows go on over a restart: names of files.
+/// Where the loops of a segment come from whose windows go on over a restart: names of files.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Continued {
     /// The first file that was read.
@@ -72,7 +72,7 @@ pub struct Continued {
 impl RunInfo {
     /// The metadata of one file.
     #[must_use]
-    pub fn metadata(&self, shard: usize, file_index: u32, previous: &str, lost: u64) -> BTreeMap<String, String> {
+    pub fn metadata(&self, segment: usize, file_index: u32, previous: &str, lost: u64) -> BTreeMap<String, String> {
         let number = self.run_number.map(|n| ("run_number".to_owned(), n.to_string()));
         let mut metadata = BTreeMap::from(
             [
@@ -84,7 +84,7 @@ impl RunInfo {
                 ("run_id", self.run_id.clone()),
                 ("started_ns", self.started_ns.to_string()),
                 ("origin", self.origin.to_owned()),
-                ("shard", shard.to_string()),
+                ("shard", segment.to_string()),
                 ("file_index", file_index.to_string()),
                 ("previous", previous.to_owned()),
                 ("lost_before", lost.to_string()),
@@ -92,7 +92,7 @@ impl RunInfo {
             .map(|(k, v)| (k.to_owned(), v)),
         );
         metadata.extend(number);
-        if let (0, Some(continued)) = (file_index, self.continued.get(&shard)) {
+        if let (0, Some(continued)) = (file_index, self.continued.get(&segment)) {
             metadata.insert(REFILLED_FROM.to_owned(), continued.from.clone());
         }
         // JSON goes without saying, as in the files from before there was anything else.
@@ -107,10 +107,10 @@ impl RunInfo {
 
     /// The name of one file, without its ending.
     #[must_use]
-    pub fn stem(&self, shard: usize, file_index: u32) -> String {
+    pub fn stem(&self, segment: usize, file_index: u32) -> String {
         let stamp: String =
             stiction::core::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
         let stamp = &stamp[..stamp.len().min(14)];
-        format!("{}-{stamp}-{}-s{shard}-{file_index:05}", self.prefix.replace('/', "_"), self.run_id)
+        format!("{}-{stamp}-{}-s{segment}-{file_index:05}", self.prefix.replace('/', "_"), self.run_id)
     }
 }

@@ -31,7 +31,7 @@ fn every_file_is_whole_at_the_end() {
     let metrics = Arc::<Metrics>::default();
     let (mut recorder, thread) =
         Recorder::start(run(), config.recording, Arc::new(SystemDisk), metrics.clone(), Arc::default()).unwrap();
-    (0..3).for_each(|shard| recorder.record(Item::Open { shard, states: Vec::new() }));
+    (0..3).for_each(|segment| recorder.record(Item::Open { segment, states: Vec::new() }));
     for id in &ids {
         let sample = Sample { signal: Signal::Op, t_ns: 0, value: Value::number(1.0), quality: None };
         recorder.record(Item::Raw { id: *id, name: engine.name(*id).clone(), sample, arrival_ns: 0 });
@@ -55,7 +55,7 @@ fn each_alarm_is_repeated_as_a_log_message_on_one_topic() {
     let metrics = Arc::<Metrics>::default();
     let (mut recorder, thread) =
         Recorder::start(run(), config.recording, Arc::new(SystemDisk), metrics.clone(), Arc::default()).unwrap();
-    recorder.record(Item::Open { shard: 0, states: Vec::new() });
+    recorder.record(Item::Open { segment: 0, states: Vec::new() });
     for name in ["A", "B"] {
         let id = engine.appear(name).unwrap();
         let document = stiction_engine::alarm::Alarm::default().restored(name);
@@ -141,7 +141,7 @@ fn a_disk_that_is_full_or_hangs_has_stopped_the_recorder_until_it_works_again() 
         writer.turn();
     };
     let progress = recorder.progress();
-    recorder.record(Item::Open { shard: 0, states: Vec::new() });
+    recorder.record(Item::Open { segment: 0, states: Vec::new() });
     work(&mut writer);
     assert_eq!((recorder.stall(), progress.has_stopped()), (None, false));
     // It hangs: nothing is taken though something waits.
@@ -161,7 +161,7 @@ fn a_disk_that_is_full_or_hangs_has_stopped_the_recorder_until_it_works_again() 
     assert!(progress.has_stopped(), "nothing was finished");
     // There is room again: the next file takes its place.
     disk.0.store(false, Ordering::Relaxed);
-    recorder.record(Item::Open { shard: 0, states: Vec::new() });
+    recorder.record(Item::Open { segment: 0, states: Vec::new() });
     work(&mut writer);
     assert!(!progress.has_stopped());
     writer.finish();
@@ -185,7 +185,7 @@ fn loops_that_come_and_go_cost_a_new_file_and_a_file_that_is_full_goes_on_with_i
             recorder.record(Item::Raw { id, name: name.clone(), sample, arrival_ns: 0 });
         }
     };
-    recorder.record(Item::Open { shard: 0, states: Vec::new() });
+    recorder.record(Item::Open { segment: 0, states: Vec::new() });
     heard(&mut recorder, 0..MANY_CHANNELS - 1);
     assert!(recorder.rotations.is_empty());
     // The engine knows before the disk has written any of it.
@@ -196,7 +196,7 @@ fn loops_that_come_and_go_cost_a_new_file_and_a_file_that_is_full_goes_on_with_i
     writer.turn();
     assert_eq!((recorder.rotations.try_iter().collect::<Vec<_>>(), metrics.recording_lost.get()), (vec![0], 5));
     heard(&mut recorder, 0..3);
-    recorder.record(Item::Open { shard: 0, states: Vec::new() });
+    recorder.record(Item::Open { segment: 0, states: Vec::new() });
     heard(&mut recorder, MAX_CHANNELS..MAX_CHANNELS + 5);
     writer.turn();
     writer.finish();

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::*;
 use crate::daemon::sink::deliver::ledger::HELD;
-use crate::daemon::sink::keeper::{Keeper, Worker as Keeping};
+use crate::daemon::sink::state_writer::{StateWriter, Worker as Keeping};
 use stiction_files::store::{OUTBOX_NAME, STORE_NAME, Stored};
 
 struct Calls<F>(F);
@@ -79,16 +79,16 @@ fn away(_: &Item) -> Result<(), Failure> {
     Err(Failure::Unanswered("away".to_owned()))
 }
 
-fn keeper(dir: &Path, held: &Held) -> (Keeper, Keeping) {
+fn state_writer(dir: &Path, held: &Held) -> (StateWriter, Keeping) {
     let disk = Arc::new(SystemDisk);
-    Keeper::pair(dir, "p", (None, held.mark.clone()), disk, held.faults.clone(), held.metrics.clone())
+    StateWriter::pair(dir, "p", (None, held.mark.clone()), disk, held.faults.clone(), held.metrics.clone())
 }
 
 #[test]
 fn what_is_answered_outlives_a_kill_in_the_very_moment() {
     let dir = tempfile::tempdir().unwrap();
     let mut held = Held::new(dir.path(), away);
-    let (keeper, mut keeping) = keeper(dir.path(), &held);
+    let (state_writer, mut keeping) = state_writer(dir.path(), &held);
     let (tell, told) = std::sync::mpsc::channel();
     for k in 0..30 {
         held.outbox.offer(item(k));
@@ -98,7 +98,7 @@ fn what_is_answered_outlives_a_kill_in_the_very_moment() {
             let state = left_in(&at, STORE_NAME).values["p\nA"].clone();
             tell.send((kept, documents.len(), state)).unwrap();
         };
-        keeper.keep_then("A", k.to_string().into(), held.clock.now(), Box::new(answer));
+        state_writer.keep_then("A", k.to_string().into(), held.clock.now(), Box::new(answer));
         // The store of states is the faster one, whenever it can be.
         keeping.turn();
         assert!(told.try_recv().is_err(), "answered, and its document is lost with a kill");
@@ -112,20 +112,20 @@ fn what_is_answered_outlives_a_kill_in_the_very_moment() {
 fn a_person_is_told_where_documents_cannot_be_stored_and_where_the_disk_does_not_answer() {
     let dir = tempfile::tempdir().unwrap();
     let mut held = Held::new(dir.path(), away);
-    let (keeper, mut keeping) = keeper(dir.path(), &held);
+    let (state_writer, mut keeping) = state_writer(dir.path(), &held);
     let (tell, told) = std::sync::mpsc::channel();
     let ask = |held: &Held| {
         let tell = tell.clone();
         held.outbox.offer(item(0));
         let answer = move |kept: Result<(), String>| tell.send(kept.map_err(|why| why.to_lowercase())).unwrap();
-        keeper.keep_then("A", b"1".to_vec(), held.clock.now(), Box::new(answer));
+        state_writer.keep_then("A", b"1".to_vec(), held.clock.now(), Box::new(answer));
     };
     ask(&held);
     held.clock.advance(Duration::from_secs(2));
-    keeper.tell_late(held.clock.now());
+    state_writer.reply_late(held.clock.now());
     assert!(told.try_recv().is_err());
     held.clock.advance(Duration::from_secs(2));
-    keeper.tell_late(held.clock.now());
+    state_writer.reply_late(held.clock.now());
     assert!(told.try_recv().unwrap().unwrap_err().contains("has not answered for 4 s"));
     ask(&held);
     // Another program has the store of documents, from where it was put to another place.

@@ -15,7 +15,7 @@ use stiction_engine::codec::topic::{self, Kind};
 use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, LoopId};
 use stiction_files::RecordingFile;
-use stictiond::daemon::rerun::Rerun;
+use stictiond::daemon::replay::parallel::ParallelReplay;
 use stictiond::daemon::sink::recorder::{LOOPS_PER_FILE, RecordedConfig, RunInfo};
 
 /// Timestamp of the first sample: a full hour, so that a day has 24 files.
@@ -69,7 +69,7 @@ pub fn rows(args: &Args, plant: Plant) -> anyhow::Result<Vec<Row>> {
     let (started, before) = (Instant::now(), cpu::process_seconds());
     let (mut estimates, mut alarms) = (0, 0);
     for file in &files {
-        let report = Rerun::new(&config, None, true).file(file, PREFIX, true, false)?;
+        let report = ParallelReplay::new(&config, None, true).file(file, PREFIX, true, false)?;
         let of = |kind| report.outputs.iter().filter(|output| output.kind == kind).count();
         estimates += of(Kind::Estimate);
         alarms += of(Kind::Alarm);

@@ -1,7 +1,7 @@
 //! What people ask of the engine: commands on alarms, and gap diagnoses with their answers.
 
 use super::super::gaps::{self, Diagnosed, Outcome};
-use super::{Core, to_json};
+use super::{EngineThread, to_json};
 use crate::runtime::control::{Answer, WindowSnapshot};
 use stiction::core::gap::MIN_POINTS;
 use stiction_engine::alarm::{AlarmDocument, Command, CommandError};
@@ -10,7 +10,7 @@ use stiction_engine::engine::{
     Checkpoint, GapRefusal, GapRequest, LoopId, RecordedInput, RecordedNeighbour, SkipReason, StateDocument,
 };
 
-impl Core {
+impl EngineThread {
     /// Carries a command out. The answer says that its effect is on the disk, and the document for receivers too: a crash
     /// after it changes nothing.
     pub(super) fn take_command(&mut self, loop_name: &str, command: &Command, answer: Answer) {
@@ -19,27 +19,31 @@ impl Core {
             return;
         }
         // A loop that is not there costs nobody's rate.
-        let has_left = self.engine.has_left(loop_name);
-        let known = self.engine.find(loop_name).is_some() || has_left;
+        let has_left = self.loops.engine.has_left(loop_name);
+        let known = self.loops.engine.find(loop_name).is_some() || has_left;
         // One that left obeys whether or not there is a place for it, and goes again where there is none.
-        let is_guest = has_left && !self.engine.has_place_for(loop_name);
+        let is_guest = has_left && !self.loops.engine.has_place_for(loop_name);
         self.answer_command((loop_name, known), command, answer);
-        if is_guest && let Some(id) = self.engine.find(loop_name) {
+        if is_guest && let Some(id) = self.loops.engine.find(loop_name) {
             self.forget(&[id]);
         }
     }
 
     fn answer_command(&mut self, (loop_name, known): (&str, bool), command: &Command, answer: Answer) {
         let now = self.clock.since(self.started);
-        let allowed = self.policy.check(command).and_then(|()| if known { self.policy.command(now) } else { Ok(()) });
+        let allowed = self
+            .inputs
+            .policy
+            .check(command)
+            .and_then(|()| if known { self.inputs.policy.command(now) } else { Ok(()) });
         let done = allowed.and_then(|()| self.command(loop_name, command).map_err(|e| e.to_string()));
         let (id, document) = match done {
             Ok(done) => done,
             Err(why) => {
                 self.metrics.commands_refused.inc();
-                self.policy.log_refusal(
+                self.inputs.policy.log_refusal(
                     self.clock.since(self.started),
-                    &command.cmd,
+                    command.action.name(),
                     loop_name,
                     command.by.as_deref(),
                     &why,
@@ -49,11 +53,11 @@ impl Core {
         };
         self.metrics.commands.inc();
         let at_ns = document.changed_ns;
-        let state = StateDocument::new(self.engine.name(id), Some(at_ns), self.memory(id));
+        let state = StateDocument::new(self.loops.engine.name(id), Some(at_ns), self.memory(id));
         self.record(id, Kind::State, &state, at_ns);
         let unwritten = || "carried out, but its document cannot be written; see the log".to_owned();
         let json = to_json(&document).ok_or_else(unwritten);
-        let Some(keeper) = &self.keeper else { return answer(json) };
+        let Some(state_writer) = &self.outputs.state_writer else { return answer(json) };
         let Some(state) = to_json(&state) else { return answer(Err(unwritten())) };
         let kept = move |kept: Result<(), String>| {
             answer(match kept {
@@ -63,12 +67,12 @@ impl Core {
                 }
             });
         };
-        keeper.keep_then(self.engine.name(id), state, self.clock.now(), Box::new(kept));
+        state_writer.keep_then(self.loops.engine.name(id), state, self.clock.now(), Box::new(kept));
     }
 
     fn command(&mut self, loop_name: &str, command: &Command) -> Result<(LoopId, AlarmDocument), CommandError> {
         let id = self.find_or_revive(loop_name).ok_or_else(|| CommandError::UnknownLoop(loop_name.to_owned()))?;
-        let document = self.engine.command(id, command)?;
+        let document = self.loops.engine.command(id, command)?;
         self.record(id, Kind::Input, &RecordedInput::Command(command.clone()), document.changed_ns);
         self.alarm_changed(id, &document);
         Ok((id, document))
@@ -81,15 +85,15 @@ impl Core {
         end_ns: Option<i64>,
         answer: Box<dyn FnOnce(Option<WindowSnapshot>) + Send>,
     ) {
-        answer(self.engine.find(loop_name).map(|id| WindowSnapshot {
-            snapshot: self.engine.snapshot(id, end_ns),
-            settings: self.engine.settings(id).clone(),
+        answer(self.loops.engine.find(loop_name).map(|id| WindowSnapshot {
+            snapshot: self.loops.engine.snapshot(id, end_ns),
+            settings: self.loops.engine.settings(id).clone(),
         }));
     }
 
-    /// What a loop remembers over a restart.
+    /// The part of a loop's state that outlives a restart.
     pub(super) fn memory(&self, id: LoopId) -> Checkpoint {
-        Checkpoint { stream: None, ..self.engine.checkpoint(id) }
+        Checkpoint { stream: None, ..self.loops.engine.checkpoint(id) }
     }
 
     /// A person asks for a diagnosis. Who asks while one is under way is answered with that one.
@@ -97,20 +101,20 @@ impl Core {
         if !self.config.shard.owns(loop_name) {
             return;
         }
-        if let Err(why) = self.policy.name(by.as_deref()) {
+        if let Err(why) = self.inputs.policy.name(by.as_deref()) {
             return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
         }
-        let Some(id) = self.engine.find(loop_name).filter(|id| !self.removed.contains(id)) else {
+        let Some(id) = self.loops.engine.find(loop_name).filter(|id| !self.loops.removed.contains(id)) else {
             // Of one that left no sample is held.
-            let why = if self.engine.has_left(loop_name) {
+            let why = if self.loops.engine.has_left(loop_name) {
                 GapRefusal::TooShort { points: 0, needed: MIN_POINTS }
             } else {
                 GapRefusal::UnknownLoop(loop_name.to_owned())
             };
             return self.refuse_gap(answer, loop_name, by.as_deref(), &why.to_string());
         };
-        if let Some(number) = self.engine.gaps_waiting(id).last() {
-            let asking = self.asking.entry((id, number)).or_default();
+        if let Some(number) = self.loops.engine.gaps_waiting(id).last() {
+            let asking = self.loops.asking.entry((id, number)).or_default();
             if asking.len() < gaps::QUEUE {
                 return asking.push(answer);
             }
@@ -121,10 +125,10 @@ impl Core {
                 &format!("{} wait for this diagnosis already", gaps::QUEUE),
             );
         }
-        if let Err(why) = self.policy.run(self.clock.since(self.started)) {
+        if let Err(why) = self.inputs.policy.run(self.clock.since(self.started)) {
             return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
         }
-        if self.diagnoser.requests.is_full() {
+        if self.loops.diagnoser.requests.is_full() {
             return self.refuse_gap(
                 answer,
                 loop_name,
@@ -132,11 +136,11 @@ impl Core {
                 &format!("{} diagnoses wait already: try again later", gaps::QUEUE),
             );
         }
-        match self.engine.run_gap(id, by.as_deref(), pool, &mut self.events) {
+        match self.loops.engine.run_gap(id, by.as_deref(), pool, &mut self.loops.events) {
             Ok(number) => {
-                let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+                let at_ns = self.loops.engine.figures(id).greatest_ns.unwrap_or(0);
                 self.record(id, Kind::Input, &RecordedInput::GapRun { number, by }, at_ns);
-                self.asking.entry((id, number)).or_default().push(answer);
+                self.loops.asking.entry((id, number)).or_default().push(answer);
                 self.handle_events();
             }
             Err(refusal) => self.refuse_gap(answer, loop_name, None, &refusal.to_string()),
@@ -145,14 +149,14 @@ impl Core {
 
     fn refuse_gap(&mut self, answer: Answer, loop_name: &str, by: Option<&str>, why: &str) {
         self.metrics.gaps_skipped.inc();
-        self.policy.log_refusal(self.clock.since(self.started), "run", loop_name, by, why);
+        self.inputs.policy.log_refusal(self.clock.since(self.started), "run", loop_name, by, why);
         answer(Err(why.to_owned()));
     }
 
     /// Starts a diagnosis with the loops that may act on its loop as neighbours, and records all it is given.
     pub(super) fn request_gap(&mut self, mut request: GapRequest) {
         let (id, number) = (request.id, request.number);
-        let neighbours = self.engine.neighbours_of(&request);
+        let neighbours = self.loops.engine.neighbours_of(&request);
         if !neighbours.is_empty() {
             request.neighbours = neighbours.iter().map(RecordedNeighbour::neighbour).collect();
             let input = RecordedInput::GapNeighbours { number, neighbours };
@@ -162,7 +166,7 @@ impl Core {
             let input = RecordedInput::GapEarlier { number, windows: request.earlier.clone() };
             self.record(id, Kind::Input, &input, request.record.end_ns);
         }
-        if self.diagnoser.requests.try_send(request).is_err() {
+        if self.loops.diagnoser.requests.try_send(request).is_err() {
             self.skip_gap(id, number, SkipReason::QueueFull, "too many diagnoses wait already");
         }
     }
@@ -178,9 +182,9 @@ impl Core {
                     self.record(id, Kind::Input, &input, document.end_ns());
                 }
                 let json = to_json(&document).ok_or("the diagnosis cannot be written; see the log");
-                self.engine.complete_gap(id, number, *document, &mut self.events);
+                self.loops.engine.complete_gap(id, number, *document, &mut self.loops.events);
                 self.handle_events();
-                for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
+                for answer in self.loops.asking.remove(&(id, number)).into_iter().flatten() {
                     answer(json.clone().map_err(str::to_owned));
                 }
             }
@@ -191,11 +195,11 @@ impl Core {
 
     pub(super) fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, why: &str) {
         self.metrics.gaps_skipped.inc();
-        tracing::info!(name = %self.engine.name(id), why, "a gap diagnosis was not made");
-        let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+        tracing::info!(name = %self.loops.engine.name(id), why, "a gap diagnosis was not made");
+        let at_ns = self.loops.engine.figures(id).greatest_ns.unwrap_or(0);
         self.record(id, Kind::Input, &RecordedInput::GapSkip { number, reason }, at_ns);
-        self.engine.skip_gap(id, number, reason, &mut self.events);
-        for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
+        self.loops.engine.skip_gap(id, number, reason, &mut self.loops.events);
+        for answer in self.loops.asking.remove(&(id, number)).into_iter().flatten() {
             answer(Err(why.to_owned()));
         }
     }

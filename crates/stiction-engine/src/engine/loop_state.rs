@@ -27,7 +27,7 @@ struct WaitingGap {
 }
 
 #[derive(Debug)]
-pub(super) struct Loop {
+pub(super) struct LoopState {
     pub name: Arc<str>,
     pub settings: Arc<LoopSettings>,
     pub alarm: Alarm,
@@ -50,7 +50,7 @@ pub(super) struct Loop {
     pub removed: bool,
 }
 
-impl Loop {
+impl LoopState {
     pub fn new(name: Arc<str>, settings: Arc<LoopSettings>) -> Self {
         Self {
             name,

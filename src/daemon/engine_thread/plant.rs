@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use super::{Core, to_json};
+use super::{EngineThread, to_json};
 use crate::daemon::plant::{Compared, Comparer};
 use crate::daemon::sink::recorder::Item;
 use crate::daemon::sink::zenoh::Publication;
@@ -52,20 +52,20 @@ impl Plant {
     }
 }
 
-impl Core {
+impl EngineThread {
     pub(super) fn watch_window(&mut self, id: LoopId, window: LoopWindow) {
-        if let Some(plant) = &mut self.plant {
-            plant.watch.keep(self.engine.name(id), window);
+        if let Some(plant) = &mut self.loops.plant {
+            plant.watch.keep(self.loops.engine.name(id), window);
             plant.last = Some(id);
         }
     }
 
     /// Orders the comparison that is due, if one is; it starts when the one before is done.
     pub(super) fn compare_when_due(&mut self) {
-        let Some(plant) = &mut self.plant else { return };
+        let Some(plant) = &mut self.loops.plant else { return };
         let Some(due) = plant.watch.due() else { return };
         // The file of one of the loops holds all of a comparison.
-        let Some(id) = due.loops().find_map(|name| self.engine.find(name)).or(plant.last) else { return };
+        let Some(id) = due.loops().find_map(|name| self.loops.engine.find(name)).or(plant.last) else { return };
         let input = RecordedInput::Comparing { windows: due.digest() };
         self.metrics.comparisons_due.inc();
         if plant.next.replace(due).is_some() {
@@ -85,7 +85,7 @@ impl Core {
             Vec::new()
         });
         self.metrics.groups.set(groups.len() as i64);
-        let id = comparison.loops().find_map(|name| self.engine.find(name));
+        let id = comparison.loops().find_map(|name| self.loops.engine.find(name));
         if let Some(id) = id {
             self.metrics.comparisons.inc();
             let at_ns = groups.iter().map(|group| group.window.end_ns).max().unwrap_or(0);
@@ -93,12 +93,12 @@ impl Core {
             self.record_of_plant(id, PLANT, Kind::Input, &input, at_ns);
         }
         self.publish_groups(id, &groups);
-        self.tell_members(&groups);
-        if let Some(overview) = &self.overview {
+        self.give_standings(&groups);
+        if let Some(overview) = &self.outputs.overview {
             overview.show_misplaced(misplaced);
             overview.show_groups(self.clock.now(), groups.into_iter().map(Arc::new).collect());
         }
-        if let Some(plant) = &mut self.plant {
+        if let Some(plant) = &mut self.loops.plant {
             plant.is_comparing = false;
             plant.start_next();
         }
@@ -113,45 +113,49 @@ impl Core {
             }
             let key = topic::result(&self.config.site.prefix, &name, Kind::Group);
             if let Some(json) = to_json(group) {
-                self.publisher.publish(Publication { key: key.clone(), kind: Kind::Group, document: Some(json) });
+                self.outputs.publisher.publish(Publication {
+                    key: key.clone(),
+                    kind: Kind::Group,
+                    document: Some(json),
+                });
             }
             self.metrics.group_documents.inc();
             shown.insert(key);
         }
-        let Some(plant) = &mut self.plant else { return };
+        let Some(plant) = &mut self.loops.plant else { return };
         for key in std::mem::replace(&mut plant.shown, shown.clone()).difference(&shown) {
-            self.publisher.publish(Publication { key: key.clone(), kind: Kind::Group, document: None });
+            self.outputs.publisher.publish(Publication { key: key.clone(), kind: Kind::Group, document: None });
         }
     }
 
     /// Gives the members their groups' answers, and withdraws those of loops that are members no more.
-    fn tell_members(&mut self, groups: &[GroupDocument]) {
-        let engine = &self.engine;
+    fn give_standings(&mut self, groups: &[GroupDocument]) {
+        let engine = &self.loops.engine;
         let standings = groups.iter().flat_map(|group| GroupStanding::of_members(group, |name| engine.alarms(name)));
-        let told: Vec<(LoopId, GroupStanding)> =
+        let given: Vec<(LoopId, GroupStanding)> =
             standings.filter_map(|s| Some((engine.find(&s.judgement.loop_name)?, s))).collect();
-        let members: BTreeSet<Arc<str>> = told.iter().map(|(id, _)| engine.name(*id).clone()).collect();
-        let before = self.plant.as_mut().map(|plant| std::mem::replace(&mut plant.members, members.clone()));
-        for (id, standing) in told {
-            self.tell_member(id, Some(standing));
+        let members: BTreeSet<Arc<str>> = given.iter().map(|(id, _)| engine.name(*id).clone()).collect();
+        let before = self.loops.plant.as_mut().map(|plant| std::mem::replace(&mut plant.members, members.clone()));
+        for (id, standing) in given {
+            self.give_standing(id, Some(standing));
         }
         for name in before.unwrap_or_default().difference(&members) {
-            if let Some(id) = self.engine.find(name) {
-                self.tell_member(id, None);
+            if let Some(id) = self.loops.engine.find(name) {
+                self.give_standing(id, None);
             }
         }
     }
 
-    fn tell_member(&mut self, id: LoopId, standing: Option<GroupStanding>) {
-        let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+    fn give_standing(&mut self, id: LoopId, standing: Option<GroupStanding>) {
+        let at_ns = self.loops.engine.figures(id).greatest_ns.unwrap_or(0);
         self.record(id, Kind::Input, &RecordedInput::Group { standing: standing.clone().map(Box::new) }, at_ns);
         self.metrics.group_answers.inc();
-        self.engine.stand(id, standing);
+        self.loops.engine.stand(id, standing);
     }
 
     /// Records a document of many loops in the file of one of them.
     fn record_of_plant(&mut self, id: LoopId, name: &str, kind: Kind, document: &impl serde::Serialize, event_ns: i64) {
-        let (Some(recorder), Some(json)) = (&mut self.recorder, to_json(document)) else { return };
+        let (Some(recorder), Some(json)) = (&mut self.outputs.recorder, to_json(document)) else { return };
         recorder.record(Item::Document { id, name: name.into(), kind, json, event_ns });
     }
 }

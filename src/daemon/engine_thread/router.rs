@@ -1,11 +1,13 @@
-//! What is taken out of messages: one signal under its key, or several under names.
+//! From a message to the engine: which loop it belongs to, what it says, whether it may pass.
 
 use std::time::Duration;
 
-use super::Core;
+use super::EngineThread;
 use crate::daemon::feeds::Feed;
+use crate::daemon::limits::Refused;
 use crate::daemon::routes::Route;
 use crate::daemon::senders::Doubt;
+use crate::daemon::sink::recorder::Item;
 use crate::daemon::source::Message;
 use crate::runtime::metrics::Label;
 use stiction::core::record::{Sample, Signal};
@@ -18,24 +20,24 @@ const CHANGE_SHOWN: Duration = Duration::from_secs(3600);
 const CONTEST_SHOWN: Duration = Duration::from_secs(60);
 /// A time further from the clock is not the present in another unit, ns.
 const NEAR_NS: i128 = 30 * 86_400 * 1_000_000_000;
-/// One message in so many is timed.
+/// Every nth message is timed.
 const TIMED: u64 = 8;
 
-impl Core {
+impl EngineThread {
     pub(super) fn take_message(&mut self, m: &Message) {
         self.time_intake(m);
-        if let Some(codec) = self.bundles.codec_of(m.buf.key()).map(str::to_owned) {
+        if let Some(codec) = self.inputs.bundles.codec_of(m.buf.key()).map(str::to_owned) {
             return self.take_bundle(m, &codec);
         }
         let now = self.clock.since(self.started);
-        let route = self.routes.of(m.buf.key(), &mut self.engine, || self.limits.new_loop(now));
+        let route = self.inputs.routes.of(m.buf.key(), &mut self.loops.engine, || self.inputs.limits.new_loop(now));
         let Some((id, signal)) = self.admitted(route) else { return };
         self.register(id);
-        let mut samples = std::mem::take(&mut self.samples);
+        let mut samples = std::mem::take(&mut self.inputs.samples);
         samples.clear();
         let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
         let (payload, encoding) = (m.buf.payload(), m.buf.encoding());
-        match codec::decode(signal, payload, encoding, Some(&self.codec), fallback_ns, &mut samples) {
+        match codec::decode(signal, payload, encoding, Some(&self.inputs.codec), fallback_ns, &mut samples) {
             Ok(name) => self.count_codec(name),
             Err(error) => self.count_undecodable(m, &error),
         }
@@ -54,37 +56,77 @@ impl Core {
             self.watch_senders(id, m, sample);
             self.take_sample(id, *sample, m.arrival_ns);
         }
-        self.samples = samples;
+        self.inputs.samples = samples;
+    }
+
+    fn take_sample(&mut self, id: LoopId, sample: Sample, arrival_ns: i64) {
+        self.metrics.samples.inc();
+        let now = self.clock.since(self.started);
+        if !self.is_within_limits(id, &sample, arrival_ns, now) {
+            return;
+        }
+        if sample.quality.is_some_and(|q| (1..=255).contains(&q)) && self.config.input.quality == "ua" {
+            self.metrics.suspicious_quality.inc();
+            if !std::mem::replace(&mut self.inputs.warned_quality, true) {
+                let name = self.loops.engine.name(id);
+                tracing::warn!(%name, quality = ?sample.quality, "this looks like a classic OPC quality: set [input] quality = \"classic\"");
+            }
+        }
+        if let Some(recorder) = &mut self.outputs.recorder {
+            let name = self.loops.engine.name(id).clone();
+            recorder.record(Item::Raw { id, name, sample, arrival_ns });
+        }
+        self.loops.registered.mark_heard(id, now);
+        self.inputs.arrival_ns = arrival_ns;
+        self.loops.engine.push(id, sample, &mut self.loops.events);
+        self.handle_events();
+    }
+
+    fn is_within_limits(&mut self, id: LoopId, sample: &Sample, arrival_ns: i64, now: Duration) -> bool {
+        let engine = &self.loops.engine;
+        let greatest = || engine.ids().filter_map(|id| engine.figures(id).greatest_ns).collect();
+        match self.inputs.limits.sample((id, sample, arrival_ns), now, greatest) {
+            Ok(()) => return true,
+            Err(Refused::OverRate) => self.metrics.over_rate.inc(),
+            Err(Refused::Ahead) => {
+                self.inputs.ahead = Some((id, sample.t_ns.saturating_sub(arrival_ns)));
+                self.metrics.stamps_ahead.inc()
+            }
+        };
+        false
     }
 
     /// How long the message was on its way here, looked at now and then: the clock and the histogram cost more than the rest.
     fn time_intake(&mut self, m: &Message) {
-        if self.taken.is_multiple_of(TIMED) {
+        if self.inputs.taken.is_multiple_of(TIMED) {
             let waited_ns = self.clock.now_ns().saturating_sub(m.bus_ns.unwrap_or(m.arrival_ns));
             self.metrics.intake.0.observe(s_from_ns(waited_ns.max(0)));
         }
-        self.taken += 1;
+        self.inputs.taken += 1;
     }
 
     /// A payload with several signals.
     fn take_bundle(&mut self, m: &Message, codec: &str) {
         let fallback_t_ns = m.bus_ns.unwrap_or(m.arrival_ns);
         let bundle = Bundle { key: m.buf.key(), payload: m.buf.payload(), fallback_t_ns };
-        let read = self.bundles.read(&bundle, m.buf.encoding(), codec);
-        self.metrics.birth_names_lost.inc_by(self.bundles.take_names_lost());
+        let read = self.inputs.bundles.read(&bundle, m.buf.encoding(), codec);
+        self.metrics.birth_names_lost.inc_by(self.inputs.bundles.take_names_lost());
         let (meant, name, left) = match read {
             Ok(read) => read,
             Err(error) => return self.count_undecodable(m, &error),
         };
         self.count_codec(name);
         self.metrics.unmapped_values.inc_by(left);
-        if !meant.is_empty() && self.bundles.is_new_carrier(m.buf.key()) {
-            self.routes.learn(m.buf.key());
+        if !meant.is_empty() && self.inputs.bundles.is_new_carrier(m.buf.key()) {
+            self.inputs.routes.learn(m.buf.key());
         }
         let now = self.clock.since(self.started);
         for one in meant {
             let signal = one.sample.signal;
-            let route = self.routes.to_loop(&one.loop_name, signal, &mut self.engine, || self.limits.new_loop(now));
+            let route = self
+                .inputs
+                .routes
+                .to_loop(&one.loop_name, signal, &mut self.loops.engine, || self.inputs.limits.new_loop(now));
             let Some((id, signal)) = self.admitted(route) else { continue };
             if !self.is_fed_by(id, signal, &one.source, one.sample.t_ns) {
                 self.metrics.second_source.inc();
@@ -98,17 +140,17 @@ impl Core {
 
     /// A key in other letters than usual may have another beside it that means the same signal: two sources.
     fn watch_respelled(&mut self, id: LoopId, signal: Signal, key: &str, t_ns: i64) {
-        if !self.feeds.is_watched((id, signal))
-            && let Some(first) = self.routes.respelled(key)
+        if !self.inputs.feeds.is_watched((id, signal))
+            && let Some(first) = self.inputs.routes.respelled(key)
         {
-            self.feeds.watch((id, signal), &first, self.taken, t_ns);
+            self.inputs.feeds.watch((id, signal), &first, self.inputs.taken, t_ns);
         }
     }
 
     /// Whether a signal is taken from this source; a change of sources and two that both send are named.
     fn is_fed_by(&mut self, id: LoopId, signal: Signal, source: &str, t_ns: i64) -> bool {
-        let feed = self.feeds.feed((id, signal), source, self.taken, t_ns);
-        let what = || format!("{} {}", self.engine.name(id).escape_debug(), signal.name());
+        let feed = self.inputs.feeds.feed((id, signal), source, self.inputs.taken, t_ns);
+        let what = || format!("{} {}", self.loops.engine.name(id).escape_debug(), signal.name());
         match feed {
             Feed::Taken => {}
             Feed::Ignored => return false,
@@ -129,7 +171,7 @@ impl Core {
 
     /// Two sensors that write to one key are named.
     fn watch_senders(&mut self, id: LoopId, m: &Message, sample: &Sample) {
-        let Some(doubt) = self.senders.hear(id, m.sender, sample) else { return };
+        let Some(doubt) = self.inputs.senders.hear(id, m.sender, sample) else { return };
         let shown = match doubt {
             Doubt::Senders => "by two publishers in turn".to_owned(),
             Doubt::Values => "with other values for times that came already (or times are too coarse)".to_owned(),
@@ -143,7 +185,7 @@ impl Core {
     /// Where a route leads; what leads nowhere is counted.
     fn admitted(&self, route: Route) -> Option<(LoopId, Signal)> {
         match route {
-            Route::To(id, signal) if !self.removed.contains(&id) => return Some((id, signal)),
+            Route::To(id, signal) if !self.loops.removed.contains(&id) => return Some((id, signal)),
             Route::Full => {
                 self.metrics.refused_loops.inc();
                 self.metrics.loops_over_limit.inc();
@@ -157,13 +199,13 @@ impl Core {
 
     fn count_codec(&mut self, name: &'static str) {
         // The counters are at hand: to look one up by its label would take memory for every message.
-        if let Some((_, counter)) = self.codec_counters.iter().find(|(known, _)| *known == name) {
+        if let Some((_, counter)) = self.inputs.codec_counters.iter().find(|(known, _)| *known == name) {
             counter.inc();
             return;
         }
         let counter = self.metrics.codecs.get_or_create(&Label { name: name.into() }).clone();
         counter.inc();
-        self.codec_counters.push((name, counter));
+        self.inputs.codec_counters.push((name, counter));
     }
 
     /// A time that is near the clock in another unit than ns names that unit.

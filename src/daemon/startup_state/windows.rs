@@ -1,9 +1,9 @@
 //! Refills the loops' windows at a start from the recordings of earlier runs, so that the next estimate needs no new window.
 //!
-//! The newest files of each shard are replayed without their windows. The first file of the new run names the last of them
+//! The newest files of each segment are replayed without their windows. The first file of the new run names the last of them
 //! as the one before it and the first of them as where its windows begin: so it replays to the byte, and no sample is
-//! recorded twice. Loops keep their shards. Where the wall clock says that a loop was silent for longer than a window, or
-//! where its keys or the sizes of its window have changed, it begins anew.
+//! recorded twice. Loops keep their segments. Where the wall clock says that a loop was silent for longer than a window, or
+//! where its keys or the sizes of its window have changed, it begins empty.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -12,10 +12,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::bail;
 
-use super::replay::{heads, neighbour, reach_ns};
-use super::rerun::{LastSeen, Rerun};
-use super::restore::{LOSS_SHOWN, OwnRuns, RunFile, is_recording};
+use crate::daemon::replay::parallel::{LastSeen, ParallelReplay};
+use crate::daemon::replay::{heads, neighbour, reach_ns};
 use crate::daemon::sink::recorder::{Continued, LOOPS_PER_FILE};
+use crate::daemon::startup_state::memory::{LOSS_SHOWN, OwnRuns, RunFile, is_recording};
 use crate::runtime::faults::Faults;
 use stiction::core::units::ns_from_s;
 use stiction_engine::config::Config;
@@ -24,19 +24,19 @@ use stiction_files::RecordingReader;
 use stiction_files::rescue::{REMOVED, SAMPLES_KEY};
 use stiction_files::run::{FilePlace, REFILLED_FROM, RunMetadata};
 
-/// Bytes of recordings that are read at a start: of all shards together, and of one. A file has 100 MiB by default.
+/// Bytes of recordings that are read at a start: of all segments together, and of one. A file has 100 MiB by default.
 const BYTES: u64 = 512 << 20;
-const SHARD_BYTES: u64 = 128 << 20;
+const SEGMENT_BYTES: u64 = 128 << 20;
 /// How long that may take; what is not read by then is left.
 const WITHIN: Duration = Duration::from_secs(20);
 
-/// What a run begins with.
+/// Initial state of a run.
 pub struct Refilled {
     /// An engine with the loops whose windows go on; their alarms are not restored.
     pub engine: Engine,
-    /// Their shards.
+    /// Their segments.
     pub continued: BTreeMap<usize, Continued>,
-    /// What was heard of loops last, whether or not their windows go on.
+    /// Last sign of life of each loop, whether or not its windows go on.
     pub last: BTreeMap<String, LastSeen>,
 }
 
@@ -60,34 +60,35 @@ pub fn refill(dir: &Path, config: &Config, runs: &OwnRuns, now_ns: i64, faults: 
         settings,
         since_ns: now_ns.saturating_sub(reach_ns(config)),
         now_ns,
-        bytes: (BYTES / last.len().max(1) as u64).min(SHARD_BYTES),
+        bytes: (BYTES / last.len().max(1) as u64).min(SEGMENT_BYTES),
         until: started + WITHIN,
     };
     for file in last {
-        if let Err(error) = reading.shard(&file, &mut refilled) {
+        if let Err(error) = reading.segment(&file, &mut refilled) {
             tracing::warn!(file = %file.path.display(), "windows cannot be refilled: {error:#}");
             faults.raise_for("refill", format!("the windows of some loops begin empty: {error:#}"), LOSS_SHOWN);
         }
     }
     let (loops, took_s) = (refilled.engine.count(), format!("{:.1}", started.elapsed().as_secs_f64()));
-    tracing::info!(loops, shards = refilled.continued.len(), took_s, "windows refilled from recordings");
+    tracing::info!(loops, segments = refilled.continued.len(), took_s, "windows refilled from recordings");
     refilled
 }
 
-/// The newest file of each shard, those of the newest run first; of this daemon's own runs. A name may say anything: a shard
+/// The newest file of each segment, those of the newest run first; of this daemon's own runs. A name may say anything: a segment
 /// with no place for a loop is passed over.
 fn last_files(dir: &Path, config: &Config, own: &OwnRuns, faults: &Faults) -> Vec<RunFile> {
-    let (prefix, shards) = (&config.site.prefix, config.input.max_loops.div_ceil(LOOPS_PER_FILE));
+    let (prefix, segments) = (&config.site.prefix, config.input.max_loops.div_ceil(LOOPS_PER_FILE));
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
     let mut runs: BTreeMap<String, BTreeMap<usize, (u32, PathBuf)>> = BTreeMap::new();
     for path in entries.map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
-        let Some(FilePlace { run_id, shard, index }) = FilePlace::of(&path) else { continue };
-        if shard >= shards {
-            let why = format!("{}: its name says shard {shard}, and [input] max_loops has {shards}", path.display());
+        let Some(FilePlace { run_id, shard: segment, index }) = FilePlace::of(&path) else { continue };
+        if segment >= segments {
+            let why =
+                format!("{}: its name says shard {segment}, and [input] max_loops has {segments}", path.display());
             faults.raise_for("refill", format!("the windows of some loops begin empty: {why}"), LOSS_SHOWN);
             continue;
         }
-        let newest = runs.entry(run_id).or_default().entry(shard).or_insert_with(|| (index, path.clone()));
+        let newest = runs.entry(run_id).or_default().entry(segment).or_insert_with(|| (index, path.clone()));
         if index > newest.0 {
             *newest = (index, path);
         }
@@ -98,7 +99,7 @@ fn last_files(dir: &Path, config: &Config, own: &OwnRuns, faults: &Faults) -> Ve
             RunFile::of(path, reader.metadata()).filter(|_| reader.metadata().get("prefix") == Some(prefix))
         };
         let one = files.values().find_map(|(_, path)| of(path))?;
-        let file = |(shard, (index, path))| RunFile { path, shard, index, ..one.clone() };
+        let file = |(segment, (index, path))| RunFile { path, segment, index, ..one.clone() };
         Some(files.into_iter().map(file).collect::<Vec<RunFile>>())
     };
     let all = runs.into_values().filter_map(run_of).flatten();
@@ -110,31 +111,31 @@ fn last_files(dir: &Path, config: &Config, own: &OwnRuns, faults: &Faults) -> Ve
         tracing::warn!("{text}");
         faults.raise_for("refill strange", text, LOSS_SHOWN);
     }
-    files.sort_by_key(|f| (f.shard, std::cmp::Reverse((f.run_number, f.started_ns))));
-    files.dedup_by_key(|f| f.shard);
-    files.sort_by_key(|f| (std::cmp::Reverse((f.run_number, f.started_ns)), f.shard));
+    files.sort_by_key(|f| (f.segment, std::cmp::Reverse((f.run_number, f.started_ns))));
+    files.dedup_by_key(|f| f.segment);
+    files.sort_by_key(|f| (std::cmp::Reverse((f.run_number, f.started_ns)), f.segment));
     files
 }
 
-/// What is read of each shard.
+/// Limits of reading a segment.
 struct Reading<'a> {
     config: &'a Config,
     settings: EngineSettings,
     /// Windows that end now or later reach back to here at most.
     since_ns: i64,
     now_ns: i64,
-    /// Bytes of a shard's files.
+    /// Bytes of a segment's files.
     bytes: u64,
     until: Instant,
 }
 
 impl Reading<'_> {
-    /// Refills the loops of the shard whose newest file this is.
-    fn shard(&self, last: &RunFile, refilled: &mut Refilled) -> anyhow::Result<()> {
+    /// Refills the loops of the segment whose newest file this is.
+    fn segment(&self, last: &RunFile, refilled: &mut Refilled) -> anyhow::Result<()> {
         let prefix = &self.config.site.prefix;
         let files = self.files_up_to(last)?;
         let (Some(first), Some(newest)) = (files.first(), files.last()) else { return Ok(()) };
-        let mut rerun = Rerun::of_streams(self.config, self.until);
+        let mut rerun = ParallelReplay::of_streams(self.config, self.until);
         for (at, file) in files.iter().enumerate() {
             rerun.file(file, prefix, at == 0, false)?;
         }
@@ -155,7 +156,7 @@ impl Reading<'_> {
                 if refilled.engine.find(&name).is_none()
                     && self.goes_on(&name, lane.figures(id).greatest_ns, before.as_ref())
                 {
-                    let from = last.shard * LOOPS_PER_FILE;
+                    let from = last.segment * LOOPS_PER_FILE;
                     let taken = refilled.engine.take_loop(&mut lane, &name, from..from + LOOPS_PER_FILE);
                     placeless += usize::from(taken.is_none());
                 }
@@ -170,7 +171,7 @@ impl Reading<'_> {
                 let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 name.strip_suffix(".part").map_or(name.clone(), str::to_owned)
             };
-            refilled.continued.insert(last.shard, Continued { from: name(first), previous: name(newest) });
+            refilled.continued.insert(last.segment, Continued { from: name(first), previous: name(newest) });
         }
         Ok(())
     }
@@ -186,7 +187,7 @@ impl Reading<'_> {
             && before.is_none_or(is_same)
     }
 
-    /// A shard's newest file that holds loops, and of those before it as many as windows reach back into and as there is
+    /// A segment's newest file that holds loops, and of those before it as many as windows reach back into and as there is
     /// room for; oldest first.
     fn files_up_to(&self, last: &RunFile) -> anyhow::Result<Vec<PathBuf>> {
         let (mut files, mut left, mut refilled_from) = (Vec::new(), self.bytes, String::new());
@@ -231,15 +232,15 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let pairs = [("prefix", "p"), ("run_id", "r"), ("started_ns", "1"), ("shard", "0"), ("file_index", "0")];
         let metadata = pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).into_iter().collect();
-        for shard in ["s0", "s99", "s100", "s4000000", "s18446744073709551615"] {
-            let name = format!("p-20260101-r-{shard}-00000");
+        for segment in ["s0", "s99", "s100", "s4000000", "s18446744073709551615"] {
+            let name = format!("p-20260101-r-{segment}-00000");
             stiction_files::RecordingFile::create(dir.path(), &name, &metadata).unwrap().finish().unwrap();
         }
         let (mut config, faults) = (Config::with_prefix("p"), Faults::default());
         config.input.max_loops = 100 * LOOPS_PER_FILE;
-        let shards: Vec<usize> =
-            last_files(dir.path(), &config, &OwnRuns::default(), &faults).iter().map(|file| file.shard).collect();
-        assert_eq!(shards, [0, 99]);
+        let segments: Vec<usize> =
+            last_files(dir.path(), &config, &OwnRuns::default(), &faults).iter().map(|file| file.segment).collect();
+        assert_eq!(segments, [0, 99]);
         assert!(faults.list().iter().any(|fault| fault.contains("max_loops")), "{:?}", faults.list());
     }
 }

@@ -1,8 +1,8 @@
 //! Keeps every loop's memory (alarm, acknowledgement, gap watch) in the store beside the recordings, and notes of recordings
 //! that were found whole.
 //!
-//! A thread of its own. What waits for it is the newest state of each loop, so it never grows beyond the loops; states
-//! that come together are one transaction. It comes after the documents that were handed over for receivers before, so that
+//! Its thread holds only the newest state of each loop, so its queue is bounded by the loops; states that come together
+//! are one transaction. It comes after the documents that were handed over for receivers before, so that
 //! no stored state hides one that was lost; an answer to a command waits for both. While the disk refuses, states wait,
 //! commands are answered with that, and the fault says so; nothing else stops.
 
@@ -14,7 +14,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use super::mark::Mark;
-use crate::daemon::restore::open_store;
+use crate::daemon::startup_state::memory::open_store;
 use crate::runtime::faults::Faults;
 use crate::runtime::metrics::Metrics;
 use stiction_files::disk::Disk;
@@ -24,7 +24,7 @@ use stiction_files::store::{STORE_NAME, StateStore, key_of, key_of_data_health, 
 const GATHER: Duration = Duration::from_millis(200);
 /// Pause after an error before the store is tried again.
 const RETRY: Duration = Duration::from_secs(2);
-/// How long somebody waits for the disk before he is told that it does not answer.
+/// How long somebody waits for the disk before the reply says that it does not answer.
 const LATE: Duration = Duration::from_secs(3);
 /// Name of its fault.
 const FAULT: &str = "state";
@@ -54,7 +54,7 @@ struct Pending {
     closed: bool,
 }
 
-/// What is stored together.
+/// States of one transaction.
 struct Batch {
     states: States,
     /// The last one who waits for it.
@@ -80,21 +80,21 @@ struct Shared {
 }
 
 /// The engine's end.
-pub struct Keeper {
+pub struct StateWriter {
     shared: Arc<Shared>,
     prefix: String,
 }
 
-impl Drop for Keeper {
+impl Drop for StateWriter {
     fn drop(&mut self) {
         self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner).closed = true;
         self.shared.wake.notify_one();
     }
 }
 
-impl Keeper {
+impl StateWriter {
     /// Starts the thread; `store` is the one that was open already, if it was, and `mark` says how far the store of documents
-    /// is. It ends when the `Keeper` is dropped and
+    /// is. It ends when the writer is dropped and
     /// all states are stored, or cannot be.
     ///
     /// # Errors
@@ -107,9 +107,9 @@ impl Keeper {
         faults: Arc<Faults>,
         metrics: Arc<Metrics>,
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
-        let (keeper, mut worker) = Self::pair(dir, prefix, (store, mark), disk, faults, metrics);
+        let (state_writer, mut worker) = Self::pair(dir, prefix, (store, mark), disk, faults, metrics);
         let thread = std::thread::Builder::new().name("state".into()).spawn(move || worker.run())?;
-        Ok((keeper, thread))
+        Ok((state_writer, thread))
     }
 
     /// Both ends without a thread: whoever holds the other one decides when it works.
@@ -143,7 +143,7 @@ impl Keeper {
     }
 
     /// Tells those who have waited long that the disk does not answer.
-    pub fn tell_late(&self, now: Instant) {
+    pub fn reply_late(&self, now: Instant) {
         let is_late = |waiter: &Waiter| now.saturating_duration_since(waiter.since) >= LATE;
         for waiter in self.shared.take_waiters(is_late) {
             let s = now.saturating_duration_since(waiter.since).as_secs();
@@ -303,7 +303,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Opens the store. What it lacks of the loops' states, because it is a new one, comes again.
+    /// Opens the store. A new one asks for every loop's state again.
     fn open(&self) -> Result<StateStore, String> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         let (store, _) = open_store(self.disk.as_ref(), folder, &self.faults, &self.metrics)?;
@@ -324,7 +324,7 @@ impl Worker {
         let gone = states.iter().filter(|(_, json)| json.is_none()).map(|(key, _)| key.as_str());
         store.change(kept, gone).map_err(|e| e.to_string())?;
         self.metrics.states_stored.inc_by(states.len() as u64);
-        // After an error it is opened anew.
+        // After an error it is reopened.
         self.store = Some(store);
         Ok(())
     }
@@ -337,7 +337,7 @@ impl Worker {
         }
     }
 
-    /// Waits before the next attempt; somebody who asks is told at once.
+    /// Waits before the next attempt; somebody who asks is answered at once.
     fn pause(&self) {
         let calm = |p: &mut Pending| p.waiters.is_empty() && !p.closed;
         let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
@@ -351,45 +351,45 @@ mod tests {
     use stiction_files::disk::SystemDisk;
     use stiction_files::lock::{FolderLock, LockedDisk, SharedLock};
 
-    fn keeper(dir: &Path) -> (Keeper, JoinHandle<()>, Arc<Faults>) {
+    fn state_writer(dir: &Path) -> (StateWriter, JoinHandle<()>, Arc<Faults>) {
         let faults = Arc::new(Faults::default());
-        let (keeper, thread) =
-            Keeper::start(dir, "p", (None, Mark::default()), Arc::new(SystemDisk), faults.clone(), Arc::default())
+        let (state_writer, thread) =
+            StateWriter::start(dir, "p", (None, Mark::default()), Arc::new(SystemDisk), faults.clone(), Arc::default())
                 .unwrap();
-        (keeper, thread, faults)
+        (state_writer, thread, faults)
     }
 
-    fn asked(keeper: &Keeper, json: &str) -> Result<(), String> {
-        let (tell, told) = std::sync::mpsc::channel();
-        keeper.keep_then("A", json.into(), Instant::now(), Box::new(move |kept| tell.send(kept).unwrap()));
-        told.recv().unwrap()
+    fn asked(state_writer: &StateWriter, json: &str) -> Result<(), String> {
+        let (reply, answered) = std::sync::mpsc::channel();
+        state_writer.keep_then("A", json.into(), Instant::now(), Box::new(move |kept| reply.send(kept).unwrap()));
+        answered.recv().unwrap()
     }
 
     #[test]
     fn an_answer_means_that_it_is_on_the_disk_and_the_newest_state_stands() {
         let dir = tempfile::tempdir().unwrap();
-        let (keeper, thread, faults) = keeper(dir.path());
-        keeper.keep("B", b"1".to_vec());
-        asked(&keeper, "1").unwrap();
-        asked(&keeper, "2").unwrap();
+        let (state_writer, thread, faults) = state_writer(dir.path());
+        state_writer.keep("B", b"1".to_vec());
+        asked(&state_writer, "1").unwrap();
+        asked(&state_writer, "2").unwrap();
         let copy = dir.path().join("copy");
         std::fs::copy(dir.path().join(STORE_NAME), &copy).unwrap();
         let stored = StateStore::open(&copy).unwrap().load().unwrap().values;
         assert_eq!((stored["p\nA"].as_slice(), stored["p\nB"].as_slice()), (b"2".as_slice(), b"1".as_slice()));
         assert!(faults.list().is_empty());
-        drop(keeper);
+        drop(state_writer);
         thread.join().unwrap();
     }
 
     #[test]
     fn of_a_loop_that_has_left_nothing_is_kept() {
         let dir = tempfile::tempdir().unwrap();
-        let (keeper, thread, _) = keeper(dir.path());
-        keeper.keep("B", b"1".to_vec());
-        asked(&keeper, "1").unwrap();
-        keeper.forget("B");
-        asked(&keeper, "2").unwrap();
-        drop(keeper);
+        let (state_writer, thread, _) = state_writer(dir.path());
+        state_writer.keep("B", b"1".to_vec());
+        asked(&state_writer, "1").unwrap();
+        state_writer.forget("B");
+        asked(&state_writer, "2").unwrap();
+        drop(state_writer);
         thread.join().unwrap();
         let stored = StateStore::open(&dir.path().join(STORE_NAME)).unwrap().load().unwrap().values;
         assert_eq!(stored.keys().collect::<Vec<_>>(), ["p\nA"]);
@@ -401,13 +401,13 @@ mod tests {
         // A file where the folder should be.
         let place = dir.path().join("rec");
         std::fs::write(&place, b"").unwrap();
-        let (keeper, thread, faults) = keeper(&place);
-        assert!(asked(&keeper, "1").is_err());
+        let (state_writer, thread, faults) = state_writer(&place);
+        assert!(asked(&state_writer, "1").is_err());
         assert_eq!(faults.list().len(), 1);
-        keeper.keep("B", b"7".to_vec());
+        state_writer.keep("B", b"7".to_vec());
         std::fs::remove_file(&place).unwrap();
-        asked(&keeper, "2").unwrap();
-        drop(keeper);
+        asked(&state_writer, "2").unwrap();
+        drop(state_writer);
         thread.join().unwrap();
         assert!(faults.list().is_empty());
         let stored = StateStore::open(&place.join(STORE_NAME)).unwrap().load().unwrap().values;
@@ -418,16 +418,16 @@ mod tests {
     fn a_folder_that_was_taken_away_is_made_again() {
         let dir = tempfile::tempdir().unwrap();
         let place = dir.path().join("rec");
-        let (keeper, thread, _) = keeper(&place);
-        asked(&keeper, "1").unwrap();
+        let (state_writer, thread, _) = state_writer(&place);
+        asked(&state_writer, "1").unwrap();
         assert!(
-            keeper.wants_all() && !keeper.wants_all(),
+            state_writer.wants_all() && !state_writer.wants_all(),
             "a store that was not there lacks what others may have held"
         );
         std::fs::remove_dir_all(&place).unwrap();
-        asked(&keeper, "2").unwrap();
-        assert!(keeper.wants_all() && !keeper.wants_all());
-        drop(keeper);
+        asked(&state_writer, "2").unwrap();
+        assert!(state_writer.wants_all() && !state_writer.wants_all());
+        drop(state_writer);
         thread.join().unwrap();
         let stored = StateStore::open(&place.join(STORE_NAME)).unwrap().load().unwrap().values;
         assert_eq!(stored["p\nA"], b"2");
@@ -440,19 +440,19 @@ mod tests {
         std::fs::create_dir(&place).unwrap();
         let disk = Arc::new(LockedDisk::new(SharedLock::new(Some(FolderLock::take(&place).unwrap()))));
         let faults = Arc::new(Faults::default());
-        let (keeper, thread) =
-            Keeper::start(&place, "p", (None, Mark::default()), disk, faults.clone(), Arc::default()).unwrap();
-        asked(&keeper, "1").unwrap();
+        let (state_writer, thread) =
+            StateWriter::start(&place, "p", (None, Mark::default()), disk, faults.clone(), Arc::default()).unwrap();
+        asked(&state_writer, "1").unwrap();
         std::fs::rename(&place, dir.path().join("moved")).unwrap();
         std::fs::create_dir(&place).unwrap();
         let other = FolderLock::take(&place).unwrap();
         let theirs = StateStore::open(&place.join(STORE_NAME)).unwrap();
-        assert!(asked(&keeper, "2").unwrap_err().contains("running daemon"));
+        assert!(asked(&state_writer, "2").unwrap_err().contains("running daemon"));
         assert!(theirs.load().unwrap().values.is_empty() && faults.list().len() == 1);
         drop((theirs, other));
-        asked(&keeper, "3").unwrap();
+        asked(&state_writer, "3").unwrap();
         assert!(faults.list().is_empty());
-        drop(keeper);
+        drop(state_writer);
         thread.join().unwrap();
     }
 }

@@ -1,4 +1,4 @@
-//! Replays a file on all cores. A loop's answers depend on its own channel alone, so each has its lane, an engine of its own;
+//! Replays a file on all cores. A loop's answers depend on its own channel alone, so each has its lane with a separate engine;
 //! one thread reads ahead, the lanes work through a block of messages side by side, and what they made is put into the order in
 //! which the messages stand. So the bytes are those of one engine that takes one message after the other.
 
@@ -9,9 +9,9 @@ use std::time::Instant;
 
 use anyhow::{Context, anyhow, bail};
 
-use super::received;
-use super::replay::{Output, PlantEvent, Replay};
-use super::replay_plant::ReplayPlant;
+use crate::daemon::received;
+use crate::daemon::replay::plant::ReplayPlant;
+use crate::daemon::replay::{Output, PlantEvent, Replay};
 use crate::runtime::cores::share;
 use stiction::core::record::Sample;
 use stiction::core::verdict::EstimateDocument;
@@ -30,10 +30,10 @@ const BLOCK: usize = 400_000;
 const BLOCK_BYTES: usize = 64 << 20;
 
 /// Engines side by side that are driven by recorded messages.
-pub struct Rerun {
+pub struct ParallelReplay {
     lanes: Vec<Mutex<Replay>>,
     settings: EngineSettings,
-    /// Whether files are judged anew, from their samples and commands alone.
+    /// Whether files are judged again from their samples and commands alone.
     judging: bool,
     /// Whether the settings stay, whatever the files were recorded under.
     fixed: bool,
@@ -44,7 +44,7 @@ pub struct Rerun {
     plant: ReplayPlant,
 }
 
-/// What was heard of a loop last.
+/// Last sign of life of a loop.
 #[derive(Debug, Default)]
 pub struct LastSeen {
     /// Its newest recorded answer.
@@ -68,7 +68,7 @@ pub struct FileReport {
     pub cut: Option<String>,
 }
 
-/// What a message holds.
+/// Content of a message.
 enum Held {
     Sample(Sample),
     /// Its place among the block's bytes.
@@ -93,7 +93,7 @@ struct Block {
     topics: Vec<String>,
 }
 
-/// What a lane made of a block: documents with the places of the messages that they were made at.
+/// Output of a lane for a block: documents with the places of the messages that they were made at.
 #[derive(Default)]
 struct Made {
     outputs: Vec<(usize, Output)>,
@@ -101,7 +101,7 @@ struct Made {
     failed: Option<(usize, anyhow::Error)>,
 }
 
-/// What one file is compared by, and where it stands in it.
+/// The comparison of one file, and its progress.
 struct Comparing<'a> {
     verify: bool,
     plant: &'a mut ReplayPlant,
@@ -109,7 +109,7 @@ struct Comparing<'a> {
     report: FileReport,
 }
 
-impl Rerun {
+impl ParallelReplay {
     /// A replay under a configuration until a file says another one, as the daemon of this id had it. `at_once` is for
     /// recordings without results.
     #[must_use]
@@ -121,7 +121,7 @@ impl Rerun {
         Self { lanes, settings, judging: false, fixed: false, heard_ns: BTreeMap::new(), until: None, plant }
     }
 
-    /// Only the loops' streams, until this moment: after it [`Rerun::file`] fails.
+    /// Only the loops' streams, until this moment: after it [`ParallelReplay::file`] fails.
     #[must_use]
     pub fn of_streams(config: &Config, until: Instant) -> Self {
         let mut rerun = Self { until: Some(until), ..Self::new(config, None, false) };
@@ -129,7 +129,7 @@ impl Rerun {
         rerun
     }
 
-    /// Judges files anew, from their samples and commands alone and with windows that begin empty: under this configuration
+    /// Judges files again from their samples and commands alone and with windows that begin empty: under this configuration
     /// where it is `fixed`, else from the first file on under those that the files were recorded under.
     #[must_use]
     pub fn judging(config: &Config, fixed: bool) -> Self {
@@ -141,7 +141,7 @@ impl Rerun {
         rerun
     }
 
-    /// What was heard of each loop last, where only streams are replayed.
+    /// Last sign of life of each loop, where only streams are replayed.
     pub fn take_last(&mut self) -> BTreeMap<String, LastSeen> {
         let mut last: BTreeMap<String, LastSeen> = BTreeMap::new();
         for (name, heard_ns) in std::mem::take(&mut self.heard_ns) {
@@ -200,7 +200,7 @@ impl Rerun {
     }
 }
 
-impl Rerun {
+impl ParallelReplay {
     /// Takes over the configuration that a file was recorded under. Within a run it is another one after an edit.
     fn follow(
         &mut self,
@@ -432,7 +432,7 @@ impl Comparing<'_> {
     fn take_of_plant(&mut self, topic: Option<Topic<'_>>, data: &[u8]) -> anyhow::Result<()> {
         if topic.is_some_and(|topic| topic.leaf == Leaf::Document(Kind::Input)) {
             let input = serde_json::from_slice(data).context("a recorded input")?;
-            self.plant.obey(input).into_iter().for_each(|output| self.put_out(output));
+            self.plant.handle(input).into_iter().for_each(|output| self.put_out(output));
         }
         Ok(())
     }
@@ -441,7 +441,7 @@ impl Comparing<'_> {
         let Some(topic) = topic else { return };
         let kind = match topic.leaf {
             Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm | Kind::Gap | Kind::Group)) => kind,
-            // What a file or a loop begins with was not made there.
+            // The initial states of a file or a loop were not made there.
             Leaf::Document(Kind::State) if !is_head(recorded) => Kind::State,
             _ => return,
         };

@@ -4,8 +4,8 @@
 use std::collections::{BTreeSet, HashSet};
 use std::time::Duration;
 
-use super::Core;
-use crate::daemon::sink::recorder::{Item, LOOPS_PER_FILE, shard_of};
+use super::EngineThread;
+use crate::daemon::sink::recorder::{Item, LOOPS_PER_FILE, segment_of};
 use crate::daemon::sink::zenoh::Publication;
 use crate::runtime::health::LoopHealth;
 use stiction::core::signal::align::AlignCounts;
@@ -29,7 +29,7 @@ const FORGET_AT_ONCE: usize = 1000;
 /// Documents under which queries find a loop.
 const KINDS: [Kind; 4] = [Kind::Estimate, Kind::Gap, Kind::Health, Kind::Alarm];
 
-/// Where the round stands, and what it found so far.
+/// Progress of the current round, and its sums so far.
 #[derive(Debug, Default)]
 pub(super) struct Sweep {
     next: usize,
@@ -46,7 +46,7 @@ pub(super) struct Registered {
     /// When each loop was heard last, s since the start, by the handle's place; `None` where there is no loop.
     heard_s: Vec<Option<u32>>,
     /// Shards of the recording that have a file: those with loops, and the first one until loops come.
-    pub shards: BTreeSet<usize>,
+    pub segments: BTreeSet<usize>,
 }
 
 impl Registered {
@@ -79,33 +79,33 @@ fn seconds(now: Duration) -> u32 {
     u32::try_from(now.as_secs()).unwrap_or(u32::MAX)
 }
 
-impl Core {
+impl EngineThread {
     /// Registers the loops that are there at the start, and opens their files.
     pub(super) fn register_all(&mut self) {
         let now = self.clock.since(self.started);
-        for id in self.engine.ids() {
-            self.registered.mark_heard(id, now);
-            self.registered.shards.insert(shard_of(id));
+        for id in self.loops.engine.ids() {
+            self.loops.registered.mark_heard(id, now);
+            self.loops.registered.segments.insert(segment_of(id));
         }
-        self.registered.shards.insert(0);
-        self.reopen_shards();
+        self.loops.registered.segments.insert(0);
+        self.reopen_segments();
     }
 
     /// Registers a loop if it is new: its file is opened, or knows its alarm.
     pub(super) fn register(&mut self, id: LoopId) {
-        if self.registered.heard_s(id).is_some() {
+        if self.loops.registered.heard_s(id).is_some() {
             return;
         }
-        self.registered.mark_heard(id, self.clock.since(self.started));
-        let shard = shard_of(id);
-        if self.registered.shards.insert(shard) {
-            return self.open_shard(shard);
+        self.loops.registered.mark_heard(id, self.clock.since(self.started));
+        let segment = segment_of(id);
+        if self.loops.registered.segments.insert(segment) {
+            return self.open_segment(segment);
         }
-        let state = self.engine.checkpoint(id);
+        let state = self.loops.engine.checkpoint(id);
         let nothing = Checkpoint { alarm: Alarm::default(), gap: GapWatch::default(), group: None, stream: None };
         if self.memory(id) != nothing {
             // It came back with what was remembered of it: a replay of this file must know it too.
-            let document = StateDocument::new(self.engine.name(id), None, state);
+            let document = StateDocument::new(self.loops.engine.name(id), None, state);
             self.record(id, Kind::State, &document, 0);
         }
     }
@@ -113,17 +113,17 @@ impl Core {
     /// The handle of a loop, which comes back if it was forgotten with an alarm, be there room or not; none of a loop that was
     /// removed.
     pub(super) fn find_or_revive(&mut self, name: &str) -> Option<LoopId> {
-        let has_left = self.engine.has_left(name);
-        let id = if has_left { Some(self.engine.appear_anyway(name)) } else { self.engine.find(name) };
-        id.filter(|id| !self.removed.contains(id)).inspect(|id| self.register(*id))
+        let has_left = self.loops.engine.has_left(name);
+        let id = if has_left { Some(self.loops.engine.appear_anyway(name)) } else { self.loops.engine.find(name) };
+        id.filter(|id| !self.loops.removed.contains(id)).inspect(|id| self.register(*id))
     }
 
-    /// Looks at every loop where there are few; many are looked at by [`Core::sweep_step`].
+    /// Looks at every loop where there are few; many are looked at by [`EngineThread::sweep_step`].
     pub(super) fn sweep_some(&mut self, health_parts: usize) {
-        if self.engine.places() > FEW {
+        if self.loops.engine.places() > FEW {
             return;
         }
-        let all = self.engine.places();
+        let all = self.loops.engine.places();
         self.look_at(0, all);
         self.end_round();
         self.publish_health(all.div_ceil(health_parts).max(1));
@@ -131,15 +131,15 @@ impl Core {
 
     /// Looks at the next part of many loops.
     pub(super) fn sweep_step(&mut self) {
-        let all = self.engine.places();
+        let all = self.loops.engine.places();
         if all <= FEW {
             return;
         }
-        let (from, to) = (self.sweep.next, self.sweep.next + all.div_ceil(PARTS));
+        let (from, to) = (self.loops.sweep.next, self.loops.sweep.next + all.div_ceil(PARTS));
         self.look_at(from, to);
-        self.sweep.next = to;
+        self.loops.sweep.next = to;
         if to >= all {
-            self.sweep.next = 0;
+            self.loops.sweep.next = 0;
             self.end_round();
         }
         self.publish_health(all.div_ceil(HEALTH_PARTS).min(HEALTH_AT_ONCE));
@@ -149,41 +149,42 @@ impl Core {
         let (now, now_ns) = (self.clock.now(), self.clock.now_ns());
         let forget_after_s = self.config.input.forget_after_s;
         let (now_s, may_forget) = (self.clock.since(self.started).as_secs_f64(), forget_after_s > 0.0);
-        for id in self.engine.ids_in(from, to) {
-            let figures = self.engine.figures(id);
-            self.sweep.sum.add(&figures.counts);
-            self.sweep.bytes += self.engine.bytes(id);
-            let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
-            if let Some(board) = &mut self.board {
+        for id in self.loops.engine.ids_in(from, to) {
+            let figures = self.loops.engine.figures(id);
+            self.loops.sweep.sum.add(&figures.counts);
+            self.loops.sweep.bytes += self.loops.engine.bytes(id);
+            let (name, place) = (self.loops.engine.name(id), &self.loops.engine.settings(id).place);
+            if let Some(board) = &mut self.outputs.board {
                 let age_s = figures.greatest_ns.map(|t| s_from_ns(now_ns.saturating_sub(t)));
                 board.age(&self.metrics.series, name, place, age_s);
             }
-            if let Some(overview) = &self.overview {
+            if let Some(overview) = &self.outputs.overview {
                 overview.figures(name, place, now, &figures);
             }
-            let heard_s = self.registered.heard_s(id).map_or(now_s, f64::from);
-            if may_forget && now_s - heard_s > forget_after_s && self.sweep.silent.len() < FORGET_AT_ONCE {
-                self.sweep.silent.push(id);
+            let heard_s = self.loops.registered.heard_s(id).map_or(now_s, f64::from);
+            if may_forget && now_s - heard_s > forget_after_s && self.loops.sweep.silent.len() < FORGET_AT_ONCE {
+                self.loops.sweep.silent.push(id);
             }
         }
     }
 
     fn end_round(&mut self) {
-        self.metrics.show_aligned(&std::mem::take(&mut self.sweep.sum));
-        self.metrics.loop_bytes.set(std::mem::take(&mut self.sweep.bytes) as i64);
+        self.metrics.show_aligned(&std::mem::take(&mut self.loops.sweep.sum));
+        self.metrics.loop_bytes.set(std::mem::take(&mut self.loops.sweep.bytes) as i64);
         // One whose last window was skipped is idle without an answer.
         self.forget_removed();
-        let silent = std::mem::take(&mut self.sweep.silent);
+        let silent = std::mem::take(&mut self.loops.sweep.silent);
         self.forget(&silent);
     }
 
     fn publish_health(&mut self, slice: usize) {
-        let (all, from, now_ns) = (self.engine.places(), self.sweep.next_health, self.clock.now_ns());
-        for id in self.engine.ids_in(from, from + slice) {
-            let health = LoopHealth::new(self.engine.name(id), &self.daemon_id, &self.engine.figures(id), now_ns);
-            self.publish(self.engine.name(id), Kind::Health, &health);
+        let (all, from, now_ns) = (self.loops.engine.places(), self.loops.sweep.next_health, self.clock.now_ns());
+        for id in self.loops.engine.ids_in(from, from + slice) {
+            let health =
+                LoopHealth::new(self.loops.engine.name(id), &self.daemon_id, &self.loops.engine.figures(id), now_ns);
+            self.publish(self.loops.engine.name(id), Kind::Health, &health);
         }
-        self.sweep.next_health = if from + slice >= all { 0 } else { from + slice };
+        self.loops.sweep.next_health = if from + slice >= all { 0 } else { from + slice };
     }
 
     /// Forgets loops that have been silent for long or were removed. It first records what a replay needs to do the same at
@@ -191,18 +192,18 @@ impl Core {
     pub(super) fn forget(&mut self, silent: &[LoopId]) {
         let mut gone = HashSet::new();
         for id in silent.iter().copied() {
-            if !self.engine.is_idle(id) {
+            if !self.loops.engine.is_idle(id) {
                 continue;
             }
-            let name = self.engine.name(id).clone();
-            let at_rest = self.engine.checkpoint(id).alarm.shown() == State::Normal;
-            let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+            let name = self.loops.engine.name(id).clone();
+            let at_rest = self.loops.engine.checkpoint(id).alarm.shown() == State::Normal;
+            let at_ns = self.loops.engine.figures(id).greatest_ns.unwrap_or(0);
             self.record(id, Kind::Input, &RecordedInput::Forget, at_ns);
             if !at_rest {
                 self.keep(&StateDocument { left: true, ..StateDocument::new(&name, None, self.memory(id)) });
             }
-            self.engine.forget(id);
-            if let Some(plant) = &mut self.plant {
+            self.loops.engine.forget(id);
+            if let Some(plant) = &mut self.loops.plant {
                 plant.forget(&name);
             }
             gone.insert(id);
@@ -210,45 +211,45 @@ impl Core {
             // An alarm that is not at rest goes on being shown and answered, with the age that it has.
             for kind in KINDS.into_iter().filter(|kind| at_rest || *kind != Kind::Alarm) {
                 let key = topic::result(&self.config.site.prefix, &name, kind);
-                self.publisher.publish(Publication { key, kind, document: None });
+                self.outputs.publisher.publish(Publication { key, kind, document: None });
             }
             if at_rest {
-                if let Some(keeper) = &self.keeper {
-                    keeper.forget(&name);
+                if let Some(state_writer) = &self.outputs.state_writer {
+                    state_writer.forget(&name);
                 }
-                if let Some(overview) = &self.overview {
+                if let Some(overview) = &self.outputs.overview {
                     overview.forget(&name);
                 }
-                if let Some(board) = &mut self.board {
+                if let Some(board) = &mut self.outputs.board {
                     board.forget(&self.metrics.series, &name);
                 }
             }
-            self.schedule.forget(id.index());
-            self.limits.forget(id);
-            self.registered.forget(id);
-            self.ahead = self.ahead.filter(|(of, _)| *of != id);
+            self.loops.schedule.forget(id.index());
+            self.inputs.limits.forget(id);
+            self.loops.registered.forget(id);
+            self.inputs.ahead = self.inputs.ahead.filter(|(of, _)| *of != id);
         }
         if gone.is_empty() {
             return;
         }
-        tracing::info!(loops = gone.len(), left = self.engine.count(), "loops have left the memory");
-        self.sweep.silent.retain(|id| !gone.contains(id));
-        self.removed.retain(|id| !gone.contains(id));
-        self.routes.forget(&gone);
-        self.feeds.forget(&gone);
-        self.senders.forget(&gone);
-        self.close_empty_shards(&gone);
+        tracing::info!(loops = gone.len(), left = self.loops.engine.count(), "loops have left the memory");
+        self.loops.sweep.silent.retain(|id| !gone.contains(id));
+        self.loops.removed.retain(|id| !gone.contains(id));
+        self.inputs.routes.forget(&gone);
+        self.inputs.feeds.forget(&gone);
+        self.inputs.senders.forget(&gone);
+        self.close_empty_segments(&gone);
     }
 
     /// Files of which every loop has left are finished; the next one follows with the next loop.
-    fn close_empty_shards(&mut self, gone: &HashSet<LoopId>) {
-        for shard in gone.iter().map(|id| shard_of(*id)).collect::<BTreeSet<usize>>() {
-            let (from, to) = (shard * LOOPS_PER_FILE, (shard + 1) * LOOPS_PER_FILE);
-            if self.engine.ids_in(from, to).len() == 0
-                && self.registered.shards.remove(&shard)
-                && let Some(recorder) = &mut self.recorder
+    fn close_empty_segments(&mut self, gone: &HashSet<LoopId>) {
+        for segment in gone.iter().map(|id| segment_of(*id)).collect::<BTreeSet<usize>>() {
+            let (from, to) = (segment * LOOPS_PER_FILE, (segment + 1) * LOOPS_PER_FILE);
+            if self.loops.engine.ids_in(from, to).len() == 0
+                && self.loops.registered.segments.remove(&segment)
+                && let Some(recorder) = &mut self.outputs.recorder
             {
-                recorder.record(Item::Close { shard });
+                recorder.record(Item::Close { segment });
             }
         }
     }

@@ -1,8 +1,11 @@
 //! Re-runs the engine on recordings. The same code path as live: only the order of what is taken comes from the file.
 //!
 //! A recorded estimate marks the place where the live engine consumed that window's answer; replay computes the answer
-//! there. Skips and commands are obeyed where they stand. So whatever the workers' speed was, the engine sees the same
+//! there. Skips and commands are applied where they stand. So whatever the workers' speed was, the engine sees the same
 //! inputs in the same order, and must say the same.
+
+pub mod parallel;
+mod plant;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -12,8 +15,8 @@ use anyhow::{Context, bail};
 use serde::Deserialize;
 
 use super::gaps::Until;
-use super::restore::{RunFile, is_recording};
-use super::to_json;
+use crate::daemon::startup_state::memory::{RunFile, is_recording};
+use crate::daemon::to_json;
 use stiction::core::record::Sample;
 use stiction_engine::alarm::AlarmDocument;
 use stiction_engine::codec::decode_recorded;
@@ -37,7 +40,7 @@ pub struct Output {
     pub json: Vec<u8>,
 }
 
-/// What a loop's replay has for the comparison of all loops.
+/// An event of one loop for the comparison of all loops.
 #[derive(Debug)]
 pub enum PlantEvent {
     /// A window to compare.
@@ -53,19 +56,19 @@ pub struct Replay {
     before: Option<Engine>,
     /// Windows are cut and given up, results passed over: only the loops' streams go on.
     streams_alone: bool,
-    /// Of the file only samples and commands count: it is judged anew, and windows begin empty.
+    /// Uses only samples and commands of the file: windows begin empty and are judged again.
     judging: bool,
     /// The newest recorded answer of each loop, where only the streams go on.
     newest: BTreeMap<String, Vec<u8>>,
     /// Requests that wait for their place, per loop.
     waiting: HashMap<LoopId, VecDeque<Request>>,
-    /// Where each loop stands among its windows.
+    /// Each loop's place among its windows.
     places: HashMap<LoopId, WindowCursor>,
     /// Diagnoses that wait for their place, per loop, and where their search was ended.
     gaps: HashMap<LoopId, VecDeque<(GapRequest, Option<u64>)>>,
     /// Whether diagnoses are made again. Nothing else hangs on them, so on the way to a file they need not be.
     diagnose: bool,
-    /// Compute each request at once: for recordings that hold no results of their own.
+    /// Compute each request at once: for recordings that hold no results.
     at_once: bool,
     events: Vec<Event>,
     for_plant: Vec<PlantEvent>,
@@ -94,7 +97,7 @@ struct MarkerWindow {
     end_ns: i64,
 }
 
-/// What stands in a recording had its place when it was recorded.
+/// A recorded message passed every limit when it was recorded.
 fn unlimited(settings: EngineSettings) -> EngineSettings {
     EngineSettings { max_loops: usize::MAX, ..settings }
 }
@@ -193,7 +196,7 @@ impl Replay {
             }
             Leaf::Document(Kind::Gap) if !self.at_once => self.diagnose_next(id),
             Leaf::Document(Kind::Input) => {
-                self.obey(id, serde_json::from_slice(data).context("a recorded input")?, out)?;
+                self.handle(id, serde_json::from_slice(data).context("a recorded input")?, out)?;
             }
             Leaf::Raw(_) | Leaf::Document(_) => {}
         }
@@ -209,9 +212,9 @@ impl Replay {
     }
 
     /// Does what outside time or people did there.
-    fn obey(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) -> anyhow::Result<()> {
+    fn handle(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) -> anyhow::Result<()> {
         match input {
-            // Which windows were skipped, and what loops were told of each other, belongs to the run that was recorded.
+            // Which windows were skipped, and what groups said of loops, belongs to the run that was recorded.
             other if self.judging && !matches!(other, RecordedInput::Command(_)) => {}
             RecordedInput::Command(_) | RecordedInput::GapRun { .. } | RecordedInput::Removed if self.streams_alone => {
             }
@@ -272,7 +275,7 @@ impl Replay {
         self.gaps.get_mut(&id)?.iter_mut().find(|(request, _)| request.number == number)
     }
 
-    /// Makes the loop's oldest diagnosis, whose recorded document stands here.
+    /// Makes the loop's oldest diagnosis: its recorded document was just read.
     fn diagnose_next(&mut self, id: LoopId) {
         if let Some((request, cut)) = self.gaps.entry(id).or_default().pop_front() {
             self.diagnose(&request, cut);
@@ -398,8 +401,10 @@ pub fn chains_of(input: &Path) -> anyhow::Result<Vec<Vec<PathBuf>>> {
     if files.is_empty() {
         bail!("{}: holds no recordings", input.display());
     }
-    files.sort_by(|a, b| (a.started_ns, &a.run_id, a.shard, a.index).cmp(&(b.started_ns, &b.run_id, b.shard, b.index)));
-    let chains = files.chunk_by(|a, b| (&a.run_id, a.shard) == (&b.run_id, b.shard));
+    files.sort_by(|a, b| {
+        (a.started_ns, &a.run_id, a.segment, a.index).cmp(&(b.started_ns, &b.run_id, b.segment, b.index))
+    });
+    let chains = files.chunk_by(|a, b| (&a.run_id, a.segment) == (&b.run_id, b.segment));
     Ok(chains.map(|chain| chain.iter().map(|f| f.path.clone()).collect()).collect())
 }
 

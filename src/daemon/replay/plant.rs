@@ -5,8 +5,8 @@
 
 use std::collections::VecDeque;
 
-use super::replay::{Output, PlantEvent};
-use super::to_json;
+use crate::daemon::replay::{Output, PlantEvent};
+use crate::daemon::to_json;
 use stiction::core::plantwide::GroupDocument;
 use stiction_engine::codec::topic::{Kind, PLANT};
 use stiction_engine::engine::{Comparison, PlantWatch, RecordedInput};
@@ -16,22 +16,22 @@ const MOST_PENDING: usize = 16;
 
 /// The loops of a replay together.
 #[derive(Default)]
-pub(super) struct ReplayPlant {
+pub(in crate::daemon) struct ReplayPlant {
     watch: PlantWatch,
     daemon: Option<String>,
     pending: VecDeque<(String, Comparison)>,
-    /// Whether the groups of the comparison that stands last in the recording could be made again.
+    /// Whether the groups of the last comparison in the recording could be made again.
     is_made: bool,
 }
 
 impl ReplayPlant {
     /// A replay of the daemon of this id.
-    pub(super) fn new(daemon: Option<&str>) -> Self {
+    pub(in crate::daemon) fn new(daemon: Option<&str>) -> Self {
         Self { daemon: daemon.map(str::to_owned), ..Self::default() }
     }
 
     /// Takes what a lane made.
-    pub(super) fn take(&mut self, event: PlantEvent) {
+    pub(in crate::daemon) fn take(&mut self, event: PlantEvent) {
         match event {
             PlantEvent::Window(name, window) => self.watch.keep(&name, *window),
             PlantEvent::Left(name) => self.watch.forget(&name),
@@ -39,7 +39,7 @@ impl ReplayPlant {
     }
 
     /// Does what the daemon did with all loops there; gives the groups that it found.
-    pub(super) fn obey(&mut self, input: RecordedInput) -> Vec<Output> {
+    pub(in crate::daemon) fn handle(&mut self, input: RecordedInput) -> Vec<Output> {
         match input {
             RecordedInput::Comparing { windows } => {
                 let comparison = self.watch.compare();
@@ -73,7 +73,7 @@ impl ReplayPlant {
     }
 
     /// Whether recorded groups can be compared with groups that were made again.
-    pub(super) const fn is_made(&self) -> bool {
+    pub(in crate::daemon) const fn is_made(&self) -> bool {
         self.is_made
     }
 }

@@ -1,4 +1,4 @@
-//! What the daemon says of itself: health documents, faults, losses.
+//! Health documents, faults and losses of the daemon.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,10 +7,10 @@ use prometheus_client::metrics::counter::Counter;
 
 use super::super::gaps;
 use super::super::schedule::{LIMIT, LIMIT_BYTES};
-use super::{Core, to_json};
+use super::{EngineThread, to_json};
 use crate::daemon::sink::deliver::Outbox;
-use crate::daemon::sink::keeper::Keeper;
 use crate::daemon::sink::recorder::{self, Recorder};
+use crate::daemon::sink::state_writer::StateWriter;
 use crate::daemon::sink::zenoh::{self as bus, Publication};
 use crate::runtime::health::{DaemonHealth, QueueHealth};
 use crate::runtime::metrics::Label;
@@ -30,10 +30,10 @@ const UNSTORED: &str = "delivery unstored";
 /// What has stopped then, in the health document.
 const RECORDING: &str = "recording";
 
-impl Core {
+impl EngineThread {
     /// Publishes the health of the daemon, and where there are few loops from time to time that of each.
     pub fn report(&mut self, input_waiting: usize) {
-        let loops = self.engine.count();
+        let loops = self.loops.engine.count();
         self.metrics.loops.set(loops as i64);
         self.report_losses();
         self.keep_all_again();
@@ -46,14 +46,14 @@ impl Core {
         }
         let key = topic::plane(&self.config.site.prefix, &format!("@daemon/{}/health", self.daemon_id));
         if let Some(json) = to_json(&health) {
-            self.publisher.publish(Publication { key, kind: Kind::Health, document: Some(json) });
+            self.outputs.publisher.publish(Publication { key, kind: Kind::Health, document: Some(json) });
         }
-        if let Ok(mut snapshot) = self.snapshot.write() {
+        if let Ok(mut snapshot) = self.outputs.snapshot.write() {
             *snapshot = (self.clock.now(), Arc::new(health));
         }
     }
 
-    /// What was lost since the last report: a fault that is over a while after the last loss.
+    /// Raises a fault for what was lost since the last report; it clears some time after the last loss.
     fn report_losses(&mut self) {
         let m = &self.metrics;
         let now = [
@@ -68,8 +68,8 @@ impl Core {
             &m.birth_names_lost,
         ]
         .map(Counter::get);
-        let ahead = self.ahead.map_or_else(String::new, |(id, by_ns)| {
-            let (name, days) = (self.engine.name(id), s_from_ns(by_ns) / 86_400.0);
+        let ahead = self.inputs.ahead.map_or_else(String::new, |(id, by_ns)| {
+            let (name, days) = (self.loops.engine.name(id), s_from_ns(by_ns) / 86_400.0);
             format!("; the last of {}, {days:.0} days ahead of this clock", name.escape_debug())
         });
         let stamps = format!("samples were refused whose stamps are beyond [input] max_ahead_s{ahead}");
@@ -87,42 +87,42 @@ impl Core {
                 "names of Sparkplug B births were not kept: too many nodes, or too many or too long names of one",
             ),
         ];
-        for ((key, text), (now, before)) in what.into_iter().zip(now.into_iter().zip(self.losses)) {
+        for ((key, text), (now, before)) in what.into_iter().zip(now.into_iter().zip(self.outputs.losses)) {
             if now > before {
                 self.faults.raise_for(key, format!("{now} {text}"), LOSS_SHOWN);
             }
         }
-        self.losses = now;
+        self.outputs.losses = now;
     }
 
     /// A store that does not answer holds up neither documents nor those who ask.
     fn watch_stores(&self) {
-        match self.outbox.as_ref().and_then(Outbox::stall) {
+        match self.outputs.outbox.as_ref().and_then(Outbox::stall) {
             Some(why) => self.faults.raise(UNSTORED, why),
             None => self.faults.clear(UNSTORED),
         }
-        if let Some(keeper) = &self.keeper {
-            keeper.tell_late(self.clock.now());
+        if let Some(state_writer) = &self.outputs.state_writer {
+            state_writer.reply_late(self.clock.now());
         }
     }
 
     /// Where the store was taken away under the daemon, every loop's memory goes into the new one.
     fn keep_all_again(&self) {
-        if !self.keeper.as_ref().is_some_and(Keeper::wants_all) {
+        if !self.outputs.state_writer.as_ref().is_some_and(StateWriter::wants_all) {
             return;
         }
-        for id in self.engine.ids() {
-            let name = self.engine.name(id);
+        for id in self.loops.engine.ids() {
+            let name = self.loops.engine.name(id);
             self.keep(&StateDocument::new(name, None, self.memory(id)));
         }
-        for (name, memory) in self.engine.left() {
+        for (name, memory) in self.loops.engine.left() {
             self.keep(&StateDocument { left: true, ..StateDocument::new(name, None, memory.clone()) });
         }
     }
 
     /// What has stopped, which makes `/healthz` answer 503.
     fn stopped(&mut self) -> Vec<&'static str> {
-        let Some(recorder) = &mut self.recorder else { return Vec::new() };
+        let Some(recorder) = &mut self.outputs.recorder else { return Vec::new() };
         let stall = recorder.stall();
         let has_stopped = stall.is_some() || recorder.progress().has_stopped();
         match stall {
@@ -134,7 +134,7 @@ impl Core {
 
     fn health(&self, loops: usize, input_waiting: usize, stopped: Vec<&'static str>) -> DaemonHealth {
         let m = &self.metrics;
-        let recorder_waiting = self.recorder.as_ref().map_or(0, Recorder::waiting);
+        let recorder_waiting = self.outputs.recorder.as_ref().map_or(0, Recorder::waiting);
         let queue = |name, [length, limit]: [usize; 2], [bytes, limit_bytes]: [usize; 2], dropped| QueueHealth {
             name,
             length,
@@ -143,24 +143,29 @@ impl Core {
             limit_bytes,
             dropped,
         };
-        let recorder_bytes = self.recorder.as_ref().map_or([0, 0], Recorder::bytes);
-        let published = self.publisher.bytes();
+        let recorder_bytes = self.outputs.recorder.as_ref().map_or([0, 0], Recorder::bytes);
+        let published = self.outputs.publisher.bytes();
         let of = |budget: &Budget| [budget.used(), budget.limit()];
-        let fits = self.schedule.waiting() + self.workers.jobs.len();
+        let fits = self.loops.schedule.waiting() + self.loops.workers.jobs.len();
         DaemonHealth {
             schema: topic::DAEMON_HEALTH_SCHEMA,
             daemon: self.daemon_id.clone(),
             version: stiction::core::VERSION,
-            config_hash: self.engine.config_hash().to_owned(),
+            config_hash: self.loops.engine.config_hash().to_owned(),
             uptime_s: self.clock.since(self.started).as_secs_f64(),
             loops,
             counters: m.counters(),
             queues: vec![
-                queue("input", [input_waiting, self.input_limit], of(&self.budget), m.dropped_input.get()),
-                queue("fits", [fits, LIMIT], [self.schedule.bytes(), LIMIT_BYTES], m.fits_skipped.get()),
-                queue("gaps", [self.diagnoser.requests.len(), gaps::QUEUE], [0, 0], m.gaps_skipped.get()),
+                queue(
+                    "input",
+                    [input_waiting, self.inputs.input_limit],
+                    of(&self.inputs.budget),
+                    m.dropped_input.get(),
+                ),
+                queue("fits", [fits, LIMIT], [self.loops.schedule.bytes(), LIMIT_BYTES], m.fits_skipped.get()),
+                queue("gaps", [self.loops.diagnoser.requests.len(), gaps::QUEUE], [0, 0], m.gaps_skipped.get()),
                 queue("recorder", [recorder_waiting, recorder::QUEUE], recorder_bytes, m.recording_lost.get()),
-                queue("publisher", [self.publisher.waiting(), bus::QUEUE], published, m.dropped_output.get()),
+                queue("publisher", [self.outputs.publisher.waiting(), bus::QUEUE], published, m.dropped_output.get()),
             ],
             stopped,
             faults: self.faults.list(),

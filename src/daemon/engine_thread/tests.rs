@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use proptest::prelude::*;
 
-use super::Core;
+use super::EngineThread;
 use crate::daemon::sim_daemon::{SimDaemon, no_receiver};
 use crate::runtime::clock::Clock;
 use stiction_engine::alarm::Command;
@@ -17,21 +17,24 @@ const START_NS: i64 = 1_700_000_000_000_000_000;
 /// Loops that come and go.
 const LOOPS: usize = 12;
 
-impl Core {
+impl EngineThread {
     /// What is held of loops, by who holds it.
     pub(crate) fn remains(&self) -> Vec<(&'static str, usize)> {
         vec![
-            ("engine", self.engine.count()),
-            ("registered", self.registered.count()),
-            ("recordings", self.registered.shards.len()),
-            ("routes", self.routes.count()),
-            ("limits", self.limits.count()),
-            ("feeds", self.feeds.count()),
-            ("schedule", self.schedule.count()),
-            ("series", self.board.as_ref().map_or(0, super::LoopMetrics::count)),
-            ("page", self.overview.as_ref().map_or(0, |overview| overview.rows_after(0, None, usize::MAX, 0).len())),
-            ("diagnoses", self.asking.len()),
-            ("stamps ahead", usize::from(self.ahead.is_some())),
+            ("engine", self.loops.engine.count()),
+            ("registered", self.loops.registered.count()),
+            ("recordings", self.loops.registered.segments.len()),
+            ("routes", self.inputs.routes.count()),
+            ("limits", self.inputs.limits.count()),
+            ("feeds", self.inputs.feeds.count()),
+            ("schedule", self.loops.schedule.count()),
+            ("series", self.outputs.board.as_ref().map_or(0, super::LoopMetrics::count)),
+            (
+                "page",
+                self.outputs.overview.as_ref().map_or(0, |overview| overview.rows_after(0, None, usize::MAX, 0).len()),
+            ),
+            ("diagnoses", self.loops.asking.len()),
+            ("stamps ahead", usize::from(self.inputs.ahead.is_some())),
         ]
     }
 }
@@ -81,7 +84,7 @@ impl Plant {
     }
 
     fn command(&mut self, name: &str, cmd: &str) {
-        let command = Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s: None };
+        let command = Command { action: cmd.parse().unwrap(), by: Some("ann".into()), why: None, for_s: None };
         assert!(self.stage.command(name, command, Box::new(|_| ())));
         self.stage.turn();
         self.settle();

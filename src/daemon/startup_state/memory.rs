@@ -10,7 +10,7 @@ use std::fs;
 use std::mem;
 use std::path::{Path, PathBuf};
 
-use super::to_json;
+use crate::daemon::to_json;
 use crate::runtime::faults::Faults;
 use crate::runtime::metrics::Metrics;
 use crate::runtime::overview::KeptHealth;
@@ -25,8 +25,8 @@ use stiction_files::store::{
 };
 use stiction_files::{FileError, InputKind, Item, ReadError, RecordingReader};
 
-/// Files of a run that are read per shard: the last one may have been cut before its first flush.
-const FILES_PER_SHARD: usize = 2;
+/// Files of a run that are read per segment: the last one may have been cut before its first flush.
+const FILES_PER_SEGMENT: usize = 2;
 /// Runs that are read, newest first, where the store is gone: runs that ended at once hold few states.
 const RUNS: usize = 20;
 /// Files that are read to learn which run was the last, where the store holds all else.
@@ -35,7 +35,7 @@ const NEWEST: usize = 8;
 const RUNS_KEPT: usize = 1000;
 /// Runs that a folder can have had; a file that says more is not from here.
 const MOST_RUNS: i64 = 1 << 40;
-/// What the name of a file that was put aside ends in.
+/// Suffix of a file that was put aside.
 pub const ASIDE: &str = ".broken";
 
 /// One recording file of a folder.
@@ -50,8 +50,8 @@ pub struct RunFile {
     /// Its run.
     pub run_id: String,
     /// Which of the files side by side.
-    pub shard: usize,
-    /// Its place among the shard's files.
+    pub segment: usize,
+    /// Its place among the segment's files.
     pub index: u32,
 }
 
@@ -65,7 +65,7 @@ impl RunFile {
             run_number: number("run_number").filter(|n| (0..MOST_RUNS).contains(n)).map_or(0, i64::unsigned_abs),
             started_ns: number("started_ns")?,
             run_id: metadata.get("run_id")?.clone(),
-            shard: usize::try_from(number("shard")?).ok()?,
+            segment: usize::try_from(number("shard")?).ok()?,
             index: u32::try_from(number("file_index")?).ok()?,
         })
     }
@@ -78,7 +78,7 @@ pub fn is_recording(path: &Path) -> bool {
     name.ends_with(".mcap") || name.ends_with(".mcap.part")
 }
 
-/// What a start finds.
+/// State of earlier runs as a start finds it.
 #[derive(Default)]
 pub struct Restored {
     /// Memory by loop: alarms and gap watches, never the stream of points.
@@ -99,7 +99,7 @@ pub struct Restored {
     pub data_health: KeptHealth,
 }
 
-/// What is remembered of loops, by what becomes of them.
+/// Memories of loops, by whether the loops are still there.
 #[derive(Debug, Default)]
 pub struct Memories {
     /// Of loops that go on.
@@ -127,7 +127,7 @@ impl OwnRuns {
         self.counted == 0 || is_counted || self.ids.contains(&file.run_id)
     }
 
-    /// What the store remembers of them from now on, as JSON.
+    /// Their states for the store, as JSON.
     fn and(&self, run_id: &str) -> Option<Vec<u8>> {
         let skipped = (self.ids.len() + 1).saturating_sub(RUNS_KEPT);
         let ids: Vec<&str> = self.ids.iter().map(String::as_str).chain([run_id]).skip(skipped).collect();
@@ -159,7 +159,7 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
         }
     }
     let from_store = memories.len();
-    // A store that was begun anew under a run holds what has changed since; one that a start has sealed holds all.
+    // A store that was created during a run holds what has changed since; one that a start has sealed holds all.
     let is_sealed = stored.values.contains_key(prefix);
     let is_whole = from_store > 0 && is_sealed && lost == 0;
     let number = |json: &Vec<u8>| std::str::from_utf8(json).ok()?.parse::<u64>().ok();
@@ -199,7 +199,7 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
 pub const LOSS_SHOWN: std::time::Duration = std::time::Duration::from_secs(3600);
 
 impl Restored {
-    /// What is remembered of loops, by what becomes of them under a configuration. Those of other shards are not this
+    /// What is remembered of loops, by what becomes of them under a configuration. Those of other segments are not this
     /// daemon's.
     pub fn take_memories(&mut self, config: &Config) -> Memories {
         let named: HashSet<&str> = config.loops.iter().map(|l| l.name.as_str()).collect();
@@ -232,7 +232,7 @@ impl Restored {
     pub fn note_run(&mut self, prefix: &str, run_id: &str) {
         let Some(runs) = self.runs.and(run_id) else { return };
         let Some(store) = self.store.take() else { return };
-        // After an error the keeper opens it anew.
+        // After an error the state writer reopens it.
         self.store = store.save([(key_of_runs(prefix).as_str(), runs.as_slice())]).is_ok().then_some(store);
     }
 
@@ -282,18 +282,18 @@ fn recordings_in(dir: &Path, prefix: &str, newest_alone: bool, metrics: &Metrics
         }
     }
     files.sort_by(|a, b| {
-        (a.run_number, a.started_ns, &a.run_id, a.shard, a.index).cmp(&(
+        (a.run_number, a.started_ns, &a.run_id, a.segment, a.index).cmp(&(
             b.run_number,
             b.started_ns,
             &b.run_id,
-            b.shard,
+            b.segment,
             b.index,
         ))
     });
     files
 }
 
-/// Opens the store of a folder and reads it. One that cannot be used is put aside, named, and begun anew.
+/// Opens the store of a folder and reads it. One that cannot be used is put aside and named, and a new one begins.
 ///
 /// # Errors
 /// Why there is none now; another attempt may find one.
@@ -326,8 +326,8 @@ fn memories_in_recordings(files: &[RunFile], prefix: &str) -> Found {
     let mut memories = BTreeMap::new();
     for run in files.chunk_by(|a, b| a.run_id == b.run_id).rev().take(RUNS) {
         let mut of_run = BTreeMap::new();
-        for shard in run.chunk_by(|a, b| a.shard == b.shard) {
-            for file in &shard[shard.len().saturating_sub(FILES_PER_SHARD)..] {
+        for segment in run.chunk_by(|a, b| a.segment == b.segment) {
+            for file in &segment[segment.len().saturating_sub(FILES_PER_SEGMENT)..] {
                 if let Err(error) = read_states(&file.path, prefix, &mut of_run) {
                     tracing::warn!(%error, "states could not be read to the end");
                 }
@@ -376,7 +376,7 @@ fn put_aside(path: &Path, metrics: &Metrics) {
 }
 
 /// Names the broken files that were renamed, until somebody has moved them away.
-pub fn tell_aside(dir: &Path, faults: &Faults) {
+pub fn report_aside(dir: &Path, faults: &Faults) {
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
     let aside: Vec<String> =
         entries.map(|e| e.file_name().to_string_lossy().into_owned()).filter(|name| name.ends_with(ASIDE)).collect();
@@ -513,12 +513,12 @@ mod tests {
         let restored = restore(&SystemDisk, dir.path(), "p", &faults, &metrics);
         assert!(restored.store.is_some());
         assert_eq!((raised(&restored), metrics.quarantined.get()), (vec!["A"], 2));
-        tell_aside(dir.path(), &faults);
+        report_aside(dir.path(), &faults);
         assert!(faults.list().iter().any(|f| f.contains("2 broken files")), "{:?}", faults.list());
         for name in [format!("{STORE_NAME}{ASIDE}"), format!("x.mcap{ASIDE}")] {
             fs::remove_file(dir.path().join(name)).unwrap();
         }
-        tell_aside(dir.path(), &faults);
+        report_aside(dir.path(), &faults);
         assert!(!faults.list().iter().any(|f| f.contains("aside in")), "{:?}", faults.list());
     }
 }
