@@ -1,4 +1,4 @@
-//! What the programs' command lines share: how a command ends, what it prints and logs, work on all cores with its progress,
+//! Shared by the programs' command lines: how a command ends, what it prints and logs, work on all cores with its progress,
 //! Ctrl-C, man pages and completions.
 //!
 //! Results go to stdout, everything else to stderr.

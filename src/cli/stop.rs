@@ -12,7 +12,7 @@ pub fn asked() -> bool {
     ASKED.load(Ordering::Relaxed)
 }
 
-/// Watches for SIGINT and SIGTERM from now on, in a thread of its own.
+/// Watches for SIGINT and SIGTERM from now on, on a separate thread.
 pub fn watch() {
     std::thread::spawn(|| {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };

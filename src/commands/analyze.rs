@@ -415,7 +415,7 @@ fn scored(path: &Path, record: &Record, period_points: Option<f64>) -> anyhow::R
     Scored::of(&name, &file, record, period_points).with_context(|| name.clone())
 }
 
-/// What the fit is asked over the loop's settings.
+/// The loop's settings with the options of the command line.
 const fn asked(args: &Args) -> FitOverrides {
     FitOverrides {
         op_range: args.op_range,

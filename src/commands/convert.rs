@@ -75,7 +75,7 @@ enum Target {
     Partitions(PathBuf),
 }
 
-/// What was written.
+/// Summary of the output.
 struct Written {
     path: PathBuf,
     loops: Vec<String>,

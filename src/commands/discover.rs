@@ -93,7 +93,7 @@ fn look_at_files(args: &Args) -> anyhow::Result<Seen> {
 }
 
 fn look_at_bus(endpoint: &str, key: &str, for_s: f64) -> anyhow::Result<Seen> {
-    // What stands in front of the first wildcard is no part of a loop's name.
+    // The part before the first wildcard does not belong to a loop's name.
     let mut fixed: String = key.split_inclusive('/').take_while(|chunk| !chunk.contains(['*', '$'])).collect();
     if !fixed.ends_with('/') {
         fixed.truncate(fixed.rfind('/').map_or(0, |at| at + 1));

@@ -22,7 +22,7 @@ struct Row {
     end: String,
 }
 
-/// What was found in many loops.
+/// Findings in many loops.
 #[derive(Debug, Default)]
 pub(super) struct Summary {
     rows: Vec<Row>,

@@ -120,7 +120,7 @@ impl Judged {
         format!("{}{s}", verdict(newest))
     }
 
-    /// What the alarm did, in a few words.
+    /// Changes of the alarm, in a few words.
     fn told(&self) -> String {
         let raised = self.alarm.iter().filter(|change| change.active).count();
         if raised == 0 {
@@ -186,7 +186,7 @@ impl Compared {
     }
 }
 
-/// What is to be told.
+/// The differences to report.
 struct Told<'a> {
     config: &'a Path,
     other: &'a Config,

@@ -257,7 +257,7 @@ impl Pace {
     }
 }
 
-/// What the daemons below a prefix say of themselves.
+/// Health of the daemons below a prefix.
 #[derive(Default)]
 struct Daemons {
     /// Windows that wait, of the daemon that has most.

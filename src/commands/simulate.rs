@@ -188,7 +188,7 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
                         let at_ns = request.record.end_ns;
                         (id, Kind::Input, at_ns, to_json(&RecordedInput::GapSkip { number, reason }))
                     }
-                    // Recordings of simulated loops have no groups: each scenario is a plant of its own.
+                    // Recordings of simulated loops have no groups: each scenario is a separate plant.
                     Event::Window(..) => continue,
                     Event::Gap(id, d) => (id, Kind::Gap, d.end_ns(), to_json(&d)),
                     Event::Estimate(id, d) => (id, Kind::Estimate, d.assessment.window.end_ns, to_json(&d)),

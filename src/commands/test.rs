@@ -95,7 +95,7 @@ impl FiledCase<'_> {
 /// Newest windows that are kept of a loop.
 const RECENT: usize = 64;
 
-/// What the engine reported of a loop.
+/// The engine's reports of a loop.
 #[derive(Clone, Default)]
 pub(super) struct Heard {
     pub(super) found: Found,
@@ -107,7 +107,7 @@ pub(super) struct Heard {
 struct Tested {
     /// Its place among the cases.
     at: usize,
-    /// What was found, and the expectations that do not hold.
+    /// Findings, and the expectations that do not hold.
     result: anyhow::Result<(Heard, Vec<Difference>)>,
     /// Whether its recording is damaged.
     data_loss: bool,
@@ -259,7 +259,7 @@ fn loop_of<'a>(case: &'a Case, path: &Path, loops: &'a [LoadedLoop]) -> anyhow::
     }
 }
 
-/// What the daemon reports last of a loop after its samples up to a time.
+/// Last report of a loop after its samples up to a time.
 pub(super) fn report_on(
     config: &Config,
     name: &str,

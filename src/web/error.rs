@@ -28,7 +28,7 @@ impl ApiError {
         Self::new(StatusCode::NOT_FOUND, what)
     }
 
-    /// What was asked cannot be done as it was asked.
+    /// The request cannot be done as it was made.
     #[must_use]
     pub fn unfit(why: impl Into<String>) -> Self {
         Self::new(StatusCode::UNPROCESSABLE_ENTITY, why)

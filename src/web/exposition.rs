@@ -7,7 +7,7 @@ pub(super) const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0
 /// The form that Prometheus had before, and that `promtool check metrics` reads.
 pub(super) const PLAIN: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// What a request may be answered with.
+/// Encodings of an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Form {
     /// OpenMetrics.

@@ -22,7 +22,7 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequest<S> for JsonBody<T> {
     }
 }
 
-/// What stands behind the question mark of an address.
+/// The query of an address.
 #[derive(Debug, Clone, Copy)]
 pub struct QueryParams<T>(pub T);
 

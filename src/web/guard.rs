@@ -25,7 +25,7 @@ use crate::runtime::queue::logged_rate;
 /// The header that what changes something carries: a page of another origin cannot send it without being asked first.
 pub const OWN_HEADER: &str = "x-stictiond";
 
-/// What the page may load: its own files, and no script or style inside the markup.
+/// The page may load its own files, and no script or style inside the markup.
 const CONTENT: &str = "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'self'; \
                        frame-ancestors 'none'";
 
@@ -119,7 +119,7 @@ impl Guard {
         direct && !is_forwarded(headers)
     }
 
-    /// What a request from there may do.
+    /// Rights of a request from there.
     #[must_use]
     pub fn permission(&self, peer: Peer, headers: &HeaderMap) -> Permission {
         let Some(token) = &self.token else {

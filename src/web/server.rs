@@ -27,7 +27,7 @@ use super::error::ApiError;
 
 /// Connections at a time: a browser opens up to six, and a page keeps one of them for good.
 pub const MAX_CONNECTIONS: usize = 256;
-/// How many of them one host may hold. A proxy may hold all: it stands for many hosts.
+/// How many of them one host may hold. A proxy may hold all: many hosts are behind it.
 pub const CONNECTIONS_PER_HOST: usize = 64;
 /// How long a client may take to send the head of a request.
 const HEADER_WITHIN: Duration = Duration::from_secs(5);
@@ -40,7 +40,7 @@ pub const UNREAD_BYTES: usize = 96 << 20;
 const UNREAD_BYTES_PER_HOST: usize = 32 << 20;
 /// An answer of no more bytes is not counted.
 const SMALL_ANSWER: u64 = 64 << 10;
-/// What the system holds for a connection that takes nothing, bytes: its own limit is some megabytes.
+/// Bytes that the system buffers for a connection that takes nothing: its own limit is some megabytes.
 const SEND_BUFFER: u32 = 256 << 10;
 /// Connections that may wait to be accepted.
 const BACKLOG: u32 = 1024;
@@ -102,7 +102,7 @@ impl Limits {
         self.take_many(peer, 1)
     }
 
-    /// The same for so many.
+    /// The same for a given number.
     #[must_use]
     pub fn take_many(self: &Arc<Self>, peer: Peer, amount: usize) -> Option<Slot> {
         let peer = peer.counted();
@@ -128,7 +128,7 @@ impl Drop for Slot {
     }
 }
 
-/// The limits of the bytes of answers that wait for their readers. A proxy may hold all: it stands for many hosts.
+/// The limits of the bytes of answers that wait for their readers. A proxy may hold all: many hosts are behind it.
 #[must_use]
 pub fn unread(behind_proxy: bool) -> Arc<Limits> {
     Limits::new(UNREAD_BYTES, if behind_proxy { UNREAD_BYTES } else { UNREAD_BYTES_PER_HOST })

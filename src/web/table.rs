@@ -9,7 +9,7 @@ use super::error::ApiError;
 /// Where the API lies.
 pub const BASE: &str = "/api/v1";
 
-/// What a query or a path may carry.
+/// A parameter of a query or a path.
 #[derive(Debug, Clone, Copy)]
 pub struct Parameter {
     /// Its name; `{name}` of the path is one too.
@@ -57,7 +57,7 @@ pub fn router<S: Clone + Send + Sync + 'static>(operations: &[Operation<S>]) -> 
     operations.iter().fold(Router::new(), |router, o| router.route(o.path, (o.handler)()))
 }
 
-/// What is not there.
+/// The answer for unknown paths.
 pub async fn nothing_there() -> ApiError {
     ApiError::not_found("no such thing here: /api/v1/openapi.json lists what there is")
 }

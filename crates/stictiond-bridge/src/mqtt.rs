@@ -150,7 +150,7 @@ fn options(args: &Args) -> anyhow::Result<MqttOptions> {
     options.set_session_expiry_interval(Some(args.session_s));
     options.set_receive_maximum(Some(UNCONFIRMED));
     options.set_ack_mode(AckMode::Manual);
-    // A restarted bridge has no state of its own that could contradict the broker's: it only receives.
+    // A restarted bridge has no state that could contradict the broker's: it only receives.
     options.set_broker_session_resume_policy(BrokerSessionResumePolicy::AllowBrokerOnly);
     if !args.user.is_empty() {
         options.set_credentials(args.user.clone(), secret(&args.secret_file)?.unwrap_or_default());

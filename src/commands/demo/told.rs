@@ -95,7 +95,7 @@ pub(super) fn finding(
     Ok(())
 }
 
-/// A text in lines of at most so many characters, broken between words; a longer word keeps a line of its own.
+/// A text in lines of at most `width` characters, broken between words; a longer word keeps its own line.
 fn wrapped(text: &str, width: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
@@ -124,7 +124,7 @@ pub(super) fn ending(scenario: &Scenario, last: &BTreeMap<String, Vec<Verdict>>,
     Ok(())
 }
 
-/// What a loop shows: its newest verdict, or the cause that most of its last windows name.
+/// A loop's state: its newest verdict, or the cause that most of its last windows name.
 fn shown(newest_first: &[Verdict]) -> Option<Verdict> {
     let newest = *newest_first.first()?;
     let settled = settled(newest_first.iter().copied()).filter(|_| newest.stiction() == Some(false));

@@ -171,7 +171,7 @@ fn check(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What was asked, of `windows` windows that share the time.
+/// Options of the diagnosis of `windows` windows that share the time.
 fn settings(args: &Args, windows: usize) -> anyhow::Result<GapSettings> {
     Ok(GapSettings {
         base: args.base.as_deref().map_or(Ok(BaseChoice::Refit), base::read)?,

@@ -1,4 +1,4 @@
-//! Other loops for a diagnosis: from files of their own, or from the input.
+//! Other loops for a diagnosis: from separate files, or from the input.
 
 use std::path::PathBuf;
 

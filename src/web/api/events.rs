@@ -67,7 +67,7 @@ struct Watched {
     gap: Option<Bytes>,
 }
 
-/// Where a stream stands.
+/// Progress of a stream.
 struct Watch {
     live: Shared,
     token: Permission,
@@ -80,7 +80,7 @@ struct Watch {
     ready: VecDeque<Ready>,
 }
 
-/// What is to be sent; made into text only when it is taken, so that little waits for who does not read.
+/// An event to send. It becomes text only when it is taken, so that little waits for a reader that stops.
 enum Ready {
     Event(Event),
     Rows(Rows),

@@ -65,7 +65,7 @@ const WINDOWS_WAITING: usize = 8;
 const STREAMS: usize = 64;
 const STREAMS_PER_HOST: usize = 32;
 
-/// What a running daemon answers from.
+/// State that answers come from.
 pub struct Live {
     /// Every loop as it is now.
     pub overview: Overview,
@@ -109,7 +109,7 @@ struct Looked {
 /// The state of every handler.
 pub type Shared = Arc<Live>;
 
-/// What a handler gives.
+/// Result of a handler.
 pub type Answered<T> = Result<Json<T>, ApiError>;
 
 impl Live {

@@ -238,7 +238,7 @@ pub(super) fn windows(live: &Live, name: &str, range_ns: [i64; 2]) -> (Vec<PastW
         window.period_s = window.oscillation.period_s;
         Some((end_ns, window))
     });
-    // A window may stand in the file that ended and in the one that followed.
+    // A window may be in the file that ended and in the one that followed.
     all.dedup_by_key(|w| w.window.end_ns);
     (all, reach)
 }

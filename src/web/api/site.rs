@@ -1,4 +1,4 @@
-//! What the daemon says of itself.
+//! The site and the daemon that serves it.
 
 use axum::extract::State;
 use axum::http::HeaderMap;

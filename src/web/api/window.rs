@@ -306,7 +306,7 @@ async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<R
         })
         .await?;
     let html = made.map_err(|error| ApiError::unfit(format!("a picture cannot be drawn: {error}")))?;
-    // The page carries its styles and its script within itself, and a rule of its own that lets in nothing else.
+    // The page carries its styles and its script within itself, and its own policy admits nothing else.
     let rule = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'none'";
     let headers = [(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::CONTENT_SECURITY_POLICY, rule)];
     Ok((headers, html).into_response())

@@ -1,4 +1,4 @@
-//! What is computed for the maintenance list one item at a time, apart from its requests: simulated repairs, and comparisons
+//! Results for the maintenance list that are computed one at a time, apart from its requests: simulated repairs, and comparisons
 //! of a valve before and after work. Each is kept until its loop has newer windows.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -29,7 +29,7 @@ const WINDOWS: usize = 12;
 /// A comparison is made again once its loop has windows so much newer.
 const AGAIN_S: f64 = 3600.0;
 
-/// What is known so far.
+/// Results so far.
 pub(super) struct Worth {
     known: Mutex<Known>,
     /// Held while something is computed.
@@ -85,7 +85,7 @@ pub(super) fn look(live: &Shared, reviews: &[Review]) -> (Vec<Work>, Vec<Option<
     let work = maintenance::rank(&candidates, &benefits);
     let mut tasks = repairs(&candidates, &work, &known);
     tasks.extend(reviews.iter().filter_map(|review| comparison(live, review, &known)));
-    // What was compared for an earlier review of the loop says nothing of a newer one.
+    // A comparison for an earlier review says nothing about a newer one.
     let of = |review: &Review| known.outcomes.get(&review.r#loop).filter(|c| c.at_ns == review.at.0).cloned();
     let outcomes = reviews.iter().map(of).collect();
     drop(known);
@@ -141,7 +141,7 @@ fn begin(live: &Shared, tasks: Vec<Task>) {
     });
 }
 
-/// What a repair of a loop brings; none where that may be tried again.
+/// Benefit of a repair of a loop; `None` where that may be tried again.
 async fn benefit(live: &Shared, name: &str) -> Option<Benefit> {
     match simulated(live, name).await {
         Ok(Ok(repair)) => Some(Ok(Removed::from(&repair))),
@@ -178,7 +178,7 @@ fn compared(live: &Shared, review: &Review, newest_ns: i64) -> Compared {
     Compared { at_ns: review.at.0, newest_ns, outcome, complete: reach == Reach::All }
 }
 
-/// What the date of a review with this label is.
+/// Meaning of the date of a review with this label.
 const fn done(label: Label) -> Done {
     match label {
         Label::Stiction => Done::Found,

@@ -1,4 +1,4 @@
-//! What a request gets that cannot be done: a status and a sentence with the remedy.
+//! The answer to a request that cannot be done: a status and a sentence with the remedy.
 
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};

@@ -1,4 +1,4 @@
-//! The queue of jobs: bounded, a few threads of their own, progress and cancelling, the last results kept.
+//! The queue of jobs: bounded, with a few threads, progress and cancelling; the last results are kept.
 
 use std::collections::VecDeque;
 use std::panic::AssertUnwindSafe;
@@ -73,7 +73,7 @@ pub struct Drawn {
 }
 
 impl Drawn {
-    /// The SVG as a file of its own: inside a page the element needs no name space.
+    /// The SVG as a separate file: inside a page the element needs no name space.
     #[must_use]
     pub fn standing_alone(&self) -> String {
         self.svg.replacen("<svg ", "<svg xmlns=\"http://www.w3.org/2000/svg\" ", 1)
@@ -97,7 +97,7 @@ pub struct MapNumbers {
     pub least_rms: Option<f64>,
 }
 
-/// What a section gave.
+/// Results of a section.
 #[derive(Debug, Clone, Default)]
 pub struct SectionResult {
     /// The section in words.
@@ -131,7 +131,7 @@ pub struct Said {
     pub text: String,
 }
 
-/// What a job has made.
+/// Results of a job.
 #[derive(Debug, Clone)]
 pub struct Made {
     /// How it stands.

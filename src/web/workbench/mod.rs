@@ -4,7 +4,7 @@
 //! [`preview`] shows the data that it would use, [`jobs`] queues it, [`work`] does it, [`documents`] tells it; [`choices`] lists everything that can be chosen;
 //! [`serve`] serves the page.
 //!
-//! The daemon has no part in this: `stictiond workbench` is a process of its own, so that whatever a file does to the
+//! The daemon has no part in this: `stictiond workbench` is a separate process, so that whatever a file does to the
 //! program that reads it, the plant is still watched.
 
 mod alone;

@@ -3,7 +3,7 @@
 /// Longest name, characters.
 const LONGEST: usize = 120;
 
-/// What a file from outside is called: the last part of what its sender calls it, on whichever system, without
+/// Name of a file from outside: the last part of the name that its sender gave, on whichever system, without
 /// characters that steer anything. The ending stays, since loops of tables are named after their files.
 #[must_use]
 pub fn shown(sent: &str) -> String {
@@ -44,7 +44,7 @@ mod tests {
             prop_assert!(!name.contains(steering));
             prop_assert!(!name.starts_with(['.', '-']));
             prop_assert_eq!(std::path::Path::new(&name).components().count(), 1);
-            // What is shown is what would be shown again.
+            // A clean name stays as it is.
             prop_assert_eq!(shown(&name), name);
         }
     }

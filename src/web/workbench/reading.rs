@@ -1,4 +1,4 @@
-//! How an export is read, in the words of the command line's options, and what an upload says of itself.
+//! How an export is read, by the command line's options, and the parameters of an upload.
 
 use serde::Serialize;
 
@@ -64,7 +64,7 @@ impl Serialize for ReadingWords {
     }
 }
 
-/// What an upload's address says of it.
+/// Parameters in an upload's address.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Upload {
     /// What the file is called.

@@ -1,4 +1,4 @@
-//! What a job is asked: the options of `analyze` and `gap`, checked, and as a command line.
+//! The request for a job: the options of `analyze` and `gap`, checked, and as a command line.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ pub const FINENESS_PCT: [f64; 2] = [0.5, 50.0];
 pub const EVALUATIONS: [u64; 2] = [1, 10_000_000];
 /// Longest search of a diagnosis, s.
 pub const BUDGET_S: f64 = 600.0;
-/// What a base from elsewhere is called in the command line.
+/// File name in the command line of a base from elsewhere.
 const BASE_FILE: &str = "base.json";
 const SCORE_FILE: &str = "score.json";
 
@@ -194,7 +194,7 @@ pub struct Task {
     pub delay: DelayChoice,
     /// A model to run over the record as well.
     pub score: Option<ModelFile>,
-    /// What a diagnosis asks.
+    /// Options of a diagnosis.
     pub settings: GapSettings,
 }
 
@@ -367,7 +367,7 @@ impl Request {
 }
 
 impl Task {
-    /// What a run's fit is asked over the loop's settings.
+    /// The loop's settings with the options of a run.
     #[must_use]
     pub fn asked(&self, run: Model) -> FitOverrides {
         let (asked, defaults) = (&self.request, FitOverrides::default());

@@ -275,7 +275,7 @@ async fn curves(
     in_place(&bench, move |shelf| record(shelf, &id, &query)).await
 }
 
-/// Reads a record on a thread of its own, a few at a time.
+/// Reads a record on a separate thread, a few at a time.
 async fn in_place<T: Send + 'static>(
     bench: &Bench,
     read: impl FnOnce(&Shelf) -> Result<T, Fault> + Send + 'static,
@@ -332,7 +332,7 @@ async fn remove(State(bench): State<Bench>, Path(id): Path<String>) -> Answered<
     Ok(Json(Stands { state: bench.jobs.remove(&id)? }))
 }
 
-/// Where a stream stands.
+/// Progress of a stream.
 struct Following {
     job: Arc<Job>,
     changes: tokio::sync::watch::Receiver<u64>,
@@ -361,7 +361,7 @@ async fn events(
 }
 
 impl Following {
-    /// The job as it stands at once, then after every change, and a last time when it is over.
+    /// The job at once, then after every change, and a last time when it is over.
     async fn next(&mut self) -> Option<Event> {
         if self.over {
             return None;

@@ -90,7 +90,7 @@ pub struct LoopInfo {
     pub columns: Vec<&'static str>,
 }
 
-/// Where a file stands and how it is read.
+/// Place of a file, and how it is read.
 #[derive(Debug, Clone)]
 struct Source {
     unit: Unit,
@@ -110,7 +110,7 @@ struct Held {
 
 /// A file that has been read.
 pub struct Opened {
-    /// What it holds.
+    /// Its contents.
     pub loaded: Loaded,
     /// The configuration that it was recorded under, or the defaults.
     pub config: Config,
@@ -243,7 +243,7 @@ impl Shelf {
         Err(Fault::too_many(format!("{} files are open, the limit; close one first", self.limits.files)))
     }
 
-    /// Whether an upload of so many bytes may come.
+    /// Whether there is room for an upload of this size.
     ///
     /// # Errors
     /// It is too large.
@@ -320,7 +320,7 @@ impl Shelf {
         Ok(Arc::new(Opened { loaded, config }))
     }
 
-    /// What a file holds. Takes as long as reading it where it has left the memory.
+    /// Contents of a file. Takes as long as reading it where it has left the memory.
     ///
     /// # Errors
     /// It is gone, or cannot be read any more.

@@ -27,7 +27,7 @@ use stiction_engine::analysis::{self, Answer, Points, Scored, Section, text};
 use stiction_engine::config::Config;
 use stiction_files::LoadedLoop;
 
-/// What a model that came with the request is called in documents.
+/// Name in documents of a model that came with the request.
 const GIVEN: &str = "given model";
 
 /// Does a job to its end, or until it is cancelled.
@@ -165,7 +165,7 @@ impl<'b> Bench<'b> {
         Ok((answer, looked_at, section))
     }
 
-    /// What the solver finds that was asked for.
+    /// Result of the solver that was asked for.
     fn solve(&self, found: &Estimated, place: [usize; 2], words: &str) -> Option<SolverDocument> {
         let asked = &self.job.task.request;
         let name = asked.solver.as_deref()?;

@@ -70,7 +70,7 @@ async fn children_of(session: &Session, start: NodeId, deep: bool) -> anyhow::Re
     let first: BrowseDescription = filter.new_description_from_node(start);
     let next = move |item: &BrowseResultItem| {
         let mut next = if deep { filter.get_next(item) } else { Vec::new() };
-        // What the server says of itself is no process data.
+        // The server's diagnostics are no process data.
         next.retain(|description| description.node_id != ObjectId::Server);
         next
     };
@@ -118,7 +118,7 @@ fn walk(start: &NodeId, children: &Children) -> BrowsedNodes {
     while let Some((parent, path)) = open.pop_front() {
         for child in children.get(parent).into_iter().flatten() {
             let id = &child.node_id.node_id;
-            // Properties such as ranges and units stand beside what is measured.
+            // Properties such as ranges and units are siblings of the measured values.
             let property = child.type_definition.node_id == VariableTypeId::PropertyType;
             if property || !seen.insert(id.clone()) {
                 continue;

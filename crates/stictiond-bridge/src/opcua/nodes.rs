@@ -57,7 +57,7 @@ fn node(line: &str) -> Result<Option<Node>, String> {
     if let Some(more) = words.next() {
         return Err(format!("unexpected {more:?} after NODEID and KEY; quote names with spaces: \"…\""));
     }
-    // A quote is what a name with spaces loses when it stands without quotes of its own.
+    // A shell removes the quotes of a name with spaces unless the whole is quoted.
     if !is_key(&key) || key.contains('"') {
         return Err(format!("{key:?} is not a valid key; use no empty parts, wildcards, quotes or @"));
     }

@@ -175,7 +175,7 @@ impl ServerArgs {
             .map_err(|e| anyhow!("cannot read the server's certificate: {e}"))?;
         let bytes = shown.to_der().map_err(|e| anyhow!("cannot read the server's certificate: {e}"))?;
         if trusted(place)?.contains(&bytes) {
-            // The client looks again, in a folder of its own, and at dates, host and application besides.
+            // The client checks again in its own folder, and also checks dates, host and application.
             let path = store.join("trusted").join(CertificateStore::cert_file_name(&shown));
             return std::fs::write(&path, &bytes).with_context(|| path.display().to_string());
         }
@@ -261,7 +261,7 @@ impl Store {
         use std::os::unix::fs::DirBuilderExt;
         let name = format!("stictiond-opcua-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
         let path = std::env::temp_dir().join(name);
-        // What a process of the same number left behind; a link is not followed.
+        // Left behind by a process of the same number; a link is not followed.
         let _ = std::fs::remove_dir_all(&path);
         let mut builder = std::fs::DirBuilder::new();
         builder.mode(0o700).create(&path).with_context(|| path.display().to_string())?;

@@ -141,7 +141,7 @@ fn item(id: NodeId, place: usize, args: &Args, by_time: bool) -> MonitoredItemCr
         item_to_monitor: ReadValueId::from(id),
         monitoring_mode: MonitoringMode::Reporting,
         requested_parameters: MonitoringParameters {
-            // The client gives numbers of its own to those that have 0.
+            // The client numbers those that have 0.
             client_handle: u32::try_from(place + 1).unwrap_or(u32::MAX),
             sampling_interval: f64::from(args.sampling_ms),
             filter: if by_time { ExtensionObject::from_message(filter) } else { ExtensionObject::null() },
