@@ -1,8 +1,13 @@
 //! The gap's decision fitted to decisions of known outcome: what `calibration.json` holds.
 
 use nalgebra::{DMatrix, DVector};
+use sha2::{Digest, Sha256};
 
+use crate::challenge::{Deck, Kind, Split};
+use stiction::core::detect::oscillation;
 use stiction::core::gap::probability::{Features, NAMES, Outcome, Weights, softmax};
+use stiction::core::gap::{GapError, GapOptions, Serial, diagnose, effects};
+use stiction::core::record::Record;
 
 /// Newton steps of a fit, and the digits that a weight keeps.
 const STEPS: usize = 40;
@@ -47,6 +52,24 @@ pub fn fit(cases: &[(Features, Outcome, f64)], ridge: f64) -> Weights {
     }
     let kept = |x: f64| (x * DIGITS).round() / DIGITS;
     NAMES.iter().enumerate().map(|(i, name)| ((*name).to_owned(), [kept(w[i]), kept(w[K + i])])).collect()
+}
+
+/// A name for the gap's search: a hash of what it makes of one loop, the evidence to three digits.
+///
+/// # Errors
+/// The loop cannot be diagnosed.
+pub fn search_id() -> Result<String, GapError> {
+    let dealt = Deck::of(1, Split::A, &[Some(Kind::Sinusoid)], 1).deal(0);
+    let record = dealt.map_or_else(|| Record::uniform(1.0, Vec::new(), Vec::new()), |dealt| dealt.record);
+    let period_points = oscillation::detect(&record.op(), &record.pv).map(|found| found.period_points);
+    let diagnosis = diagnose(&record, &GapOptions { period_points, ..GapOptions::default() }, &Serial)?;
+    let evidence = diagnosis.evidence();
+    // Whether two effects are looked for at once depends on the calibration itself.
+    let single = evidence.contenders.iter().filter(|c| effects::parts(&c.id).nth(1).is_none());
+    let mut leads: Vec<String> = single.map(|c| format!("{} {:.3}\n", c.id, c.lead)).collect();
+    leads.sort();
+    let hash = Sha256::digest(format!("{:.3?}\n{}", evidence.basis.base.over_floor, leads.concat()));
+    Ok(hash.iter().take(4).map(|byte| format!("{byte:02x}")).collect())
 }
 
 #[cfg(test)]

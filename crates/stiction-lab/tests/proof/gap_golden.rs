@@ -7,6 +7,7 @@ use std::path::Path;
 
 use stiction::core::detect::oscillation;
 use stiction::core::gap::document::GapDocument;
+use stiction::core::gap::probability::Calibration;
 use stiction::core::gap::{GapOptions, Serial, diagnose};
 use stiction::core::record::Record;
 use stiction::core::sim::actuator::Actuator;
@@ -14,6 +15,7 @@ use stiction::core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveMod
 use stiction::core::sim::controller::{Action, PidSettings};
 use stiction::core::sim::disturbance::Disturbance;
 use stiction::core::sim::process::ProcessModel;
+use stiction_lab::calibrate_gap::search_id;
 use stiction_lab::truth::fixture::Draw;
 
 /// A sticking valve before a first-order process.
@@ -91,4 +93,15 @@ fn a_sinusoid_from_outside() {
     let mut model = plain();
     model.pv_disturbance.push(Disturbance::Sine { amplitude: 0.5, period_s: 37.0, phase_deg: 20.0 });
     held("sinusoid", model);
+}
+
+#[test]
+fn the_calibration_is_of_this_search() {
+    let (of, now) = (&Calibration::shipped().search, search_id().unwrap());
+    assert!(
+        *of == now,
+        "the probabilities of `gap` are of search {of}, the search is {now}: answer a development set (`stiction-lab challenge \
+         new`, `run`) and fit them again (`challenge calibrate`); where fresh loops show that they still hold, name {now} in \
+         calibration.json"
+    );
 }

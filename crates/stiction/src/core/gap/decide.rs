@@ -338,14 +338,7 @@ pub(super) mod tests {
 
     fn left(over: f64) -> Left {
         let over = Some(over);
-        Left {
-            over_floor: over,
-            held_over_floor: over,
-            colour: 0.0,
-            with_op: 9.0,
-            fitted: [900, 8],
-            one_step: [[0.0; 2]; 5],
-        }
+        Left { over_floor: over, colour: 0.0, with_op: 9.0, fitted: [900, 8], one_step: [[0.0; 2]; 5] }
     }
 
     pub(in crate::core::gap) fn basis(traces: &[&str]) -> Basis {

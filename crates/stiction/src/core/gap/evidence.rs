@@ -63,8 +63,6 @@ pub struct Basis {
 pub struct Left {
     /// Training error over the floor; `None` where there is no floor.
     pub over_floor: Option<f64>,
-    /// Held-out error over the floor.
-    pub held_over_floor: Option<f64>,
     /// See [`Fit::colour`].
     pub colour: f64,
     /// See [`Fit::with_op`].
@@ -83,7 +81,6 @@ impl Left {
     pub(crate) fn of(fit: &Fit, floor: Option<f64>) -> Self {
         Self {
             over_floor: floor.map(|f| fit.rmse_train / f),
-            held_over_floor: floor.map(|f| fit.rmse / f),
             colour: fit.colour,
             with_op: fit.with_op,
             fitted: [fit.points, fit.parameters],

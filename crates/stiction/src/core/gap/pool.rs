@@ -237,7 +237,6 @@ fn on_mv(of: &[&Basis]) -> Vec<OnMv> {
 fn left<'e>(of: impl Iterator<Item = &'e Left> + Clone) -> Left {
     Left {
         over_floor: median(of.clone().filter_map(|l| l.over_floor)),
-        held_over_floor: median(of.clone().filter_map(|l| l.held_over_floor)),
         colour: mean(of.clone().map(|l| l.colour)),
         with_op: mean(of.clone().map(|l| l.with_op)),
         fitted: [0, 1].map(|which| of.clone().map(|l| l.fitted[which]).sum()),

@@ -155,6 +155,8 @@ pub struct Calibration {
     pub unknown: f64,
     /// Where all this comes from.
     pub from: String,
+    /// The search whose answers it was fitted to, or checked on last, by the name that the lab gives it.
+    pub search: String,
 }
 
 /// The share of named neighbours that was right: `challenge neighbours --without-search --cases 14` of split A, seeds 3, 5 and 7,
@@ -184,6 +186,7 @@ impl Calibration {
             neighbour: of_neighbours(),
             unknown: 0.5,
             from: String::new(),
+            search: String::new(),
         }
     }
 

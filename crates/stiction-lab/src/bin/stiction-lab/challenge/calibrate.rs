@@ -50,6 +50,12 @@ pub(super) struct Args {
 #[derive(Debug, Deserialize)]
 struct Kept {
     evidence: Option<Evidence>,
+    made_with: MadeWith,
+}
+
+#[derive(Debug, Deserialize)]
+struct MadeWith {
+    search: String,
 }
 
 /// A case with its truth, its answer, and the fits behind the answer.
@@ -58,6 +64,7 @@ struct Case {
     truth: TruthCase,
     answer: Answer,
     evidence: Option<Evidence>,
+    search: String,
 }
 
 /// Runs the command.
@@ -79,6 +86,14 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         cases.extend(read);
         first.get_or_insert(truth);
     }
+    let search = cases.first().map(|case| case.search.clone()).unwrap_or_default();
+    if let Some(other) = cases.iter().find(|case| case.search != search) {
+        bail!(
+            "{} was answered by search {}, others by {search}; run the challenges again with --force",
+            other.truth.name,
+            other.search
+        );
+    }
     let mut made = calibrated(args, &cases).context("no case has an effect; use a larger challenge")?;
     made.from = format!(
         "challenge calibrate --precision {} --withheld {} --ridge {}; version {}, split A, {}",
@@ -88,6 +103,7 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         stiction::core::VERSION,
         decks.join(", ")
     );
+    made.search = search;
     let first = first.context("name at least one folder")?;
     let inside = judged(&first, &cases, |_| Some(&made))?;
     let folds = usize::from(args.folds);
@@ -124,7 +140,7 @@ fn cases_of(dir: &Path, truth: &Truth) -> anyhow::Result<Vec<Case>> {
         let mut case = case.clone();
         case.name = format!("{}/{}", truth.seed, case.name);
         answer.recording.clone_from(&case.name);
-        out.push(Case { truth: case, answer, evidence: kept.evidence });
+        out.push(Case { truth: case, answer, evidence: kept.evidence, search: kept.made_with.search });
     }
     if out.is_empty() {
         bail!("{}: has no answers; run `stiction-lab challenge run` first", path.display());
@@ -198,6 +214,7 @@ fn calibrated(args: &Args, cases: &[Case]) -> Option<Calibration> {
         neighbour: Calibration::shipped().neighbour,
         unknown: tally.unknown.smoothed(),
         from: String::new(),
+        search: String::new(),
     })
 }
 

@@ -24,6 +24,7 @@ use stiction_engine::config::Config;
 use stiction_engine::provenance;
 use stiction_files::labelled::whole_record;
 use stiction_files::{LoadedLoop, csv, load_samples};
+use stiction_lab::calibrate_gap::search_id;
 use stiction_lab::challenge::score::{Answer, Figures, score};
 use stiction_lab::challenge::{Deck, Split, Truth, TruthCase, seal};
 use stictiond::cli::{Format, Outcome, UsageError, of_build, on_all_cores, print, say};
@@ -274,7 +275,9 @@ fn lines(answers: &BTreeMap<String, String>) -> String {
 
 fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     let path = args.dir.join(ANSWERS);
-    let made_with = json!({ "version": stiction::core::VERSION, "evaluations": args.evaluations, "seed": args.seed });
+    // Answers of two searches do not mix.
+    let made_with = json!({ "version": stiction::core::VERSION, "search": search_id()?, "evaluations": args.evaluations,
+        "seed": args.seed });
     let mut all = recordings(&args.dir)?;
     all.truncate(args.first.unwrap_or(usize::MAX));
     let before = if args.force { BTreeMap::new() } else { answered(&path, &made_with)? };

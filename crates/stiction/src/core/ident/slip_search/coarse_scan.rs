@@ -33,6 +33,12 @@ pub(crate) struct CoarseScan {
     a: Lanes,
     /// Share of the answer that is still to come at the sample of a step, half a sample being dead time.
     late: Lanes,
+    /// `1 / (1 - a)` and `1 / (1 - a a)`.
+    inverse: Lanes,
+    squared: Lanes,
+    /// Sum of the memory over the points that count, and one over what the mean leaves of its square; 0 where that is nothing.
+    one_memory: Lanes,
+    pivot: Lanes,
     powers: Vec<Lanes>,
     /// Products of PV from each point on with the answer to a step there, and with the decay that starts there.
     with_step: Vec<Lanes>,
@@ -107,6 +113,14 @@ impl CoarseScan {
                 power[l] = if next > NOTHING { next } else { 0.0 };
             }
         }
+        let (inverse, squared) = (a.map(|a| 1.0 / (1.0 - a)), a.map(|a| 1.0 / (1.0 - a * a)));
+        let end = powers[length];
+        let one_memory: Lanes = core::array::from_fn(|l| (1.0 - end[l]) * inverse[l]);
+        let pivot = core::array::from_fn(|l| {
+            let square = (1.0 - end[l] * end[l]) * squared[l];
+            let centred = square - one_memory[l] * one_memory[l] * (1.0 / length as f64);
+            if centred > DEPENDENT * square { 1.0 / centred } else { 0.0 }
+        });
         let (mut with_step, mut with_decay) = (vec![[0.0; LANES]; points + 1], vec![[0.0; LANES]; points + 1]);
         let mut sums = vec![[0.0; 2]; points + 1];
         let later: Lanes = core::array::from_fn(|l| late[l] * (1.0 - rho / a[l]));
@@ -122,7 +136,23 @@ impl CoarseScan {
             }
             with_decay[k] = decay;
         }
-        Self { rho, taus, a, late, powers, with_step, with_decay, sums, delays, from, length }
+        Self {
+            rho,
+            taus,
+            a,
+            late,
+            inverse,
+            squared,
+            one_memory,
+            pivot,
+            powers,
+            with_step,
+            with_decay,
+            sums,
+            delays,
+            from,
+            length,
+        }
     }
 
     /// The best time constant and dead time for these steps.
@@ -178,8 +208,8 @@ impl CoarseScan {
         let (mut rest, mut at_most) = ([0.0; LANES], [0.0; LANES]);
         // No branch in here, so that lanes go side by side.
         for l in 0..LANES {
-            let memory = decay_start[l] - end_power[l] * decay_stop[l] - own.one_memory[l] * mean;
-            let taken = memory * own.pivot[l];
+            let memory = decay_start[l] - end_power[l] * decay_stop[l] - self.one_memory[l] * mean;
+            let taken = memory * self.pivot[l];
             rest[l] = total - memory * taken;
             // What the answers do beyond the stretch that counts comes off.
             level[l] += own.decay[0][l] * decay_stop[l]
@@ -226,7 +256,7 @@ impl CoarseScan {
         for l in 0..LANES {
             let (a, late) = (self.a[l], self.late[l]);
             let (of_decay, of_step) = (-late * (a - self.rho), 1.0 - late);
-            let (inverse, squared) = (1.0 / (1.0 - a), 1.0 / (1.0 - a * a));
+            let (inverse, squared, pivot) = (self.inverse[l], self.squared[l], self.pivot[l]);
             let decay = [walk.decay[0][l], walk.decay[1][l]];
             let memory_step = [walk.memory[0][l], walk.memory[1][l]];
             let with_steps = |h: usize, g: usize| walk.with_steps[2 * h + g][l];
@@ -243,21 +273,16 @@ impl CoarseScan {
                     + of_step * of_step * own_steps[h + g]
             };
             let power = [product(0, 0), product(0, 1), product(1, 1)];
-            out.one_memory[l] = (1.0 - end_power[l]) * inverse;
-            let square = (1.0 - end_power[l] * end_power[l]) * squared;
-            let centred = square - out.one_memory[l] * out.one_memory[l] * one;
-            let pivot = if centred > DEPENDENT * square { 1.0 / centred } else { 0.0 };
             let (mut sum, mut memory) = ([0.0; 2], [0.0; 2]);
             for h in 0..2 {
                 sum[h] = share * level_one[h] + of_decay * (total[h] - decay[h]) * inverse + of_step * total[h];
                 let level_memory = (a * memory_step[h] - end_power[l] * level[h]) * inverse;
                 let decay_memory = (a * memory_step[h] - end_power[l] * decay[h]) * squared;
                 memory[h] = share * level_memory + of_decay * decay_memory + of_step * memory_step[h]
-                    - out.one_memory[l] * sum[h] * one;
+                    - self.one_memory[l] * sum[h] * one;
                 (out.sum[h][l], out.memory[h][l]) = (sum[h], memory[h]);
                 out.decay[h][l] = decay[h] * late * (a - self.rho);
             }
-            out.pivot[l] = pivot;
             out.power[0][l] = power[0] - sum[0] * sum[0] * one - memory[0] * memory[0] * pivot;
             out.power[1][l] = power[1] - sum[0] * sum[1] * one - memory[0] * memory[1] * pivot;
             out.power[2][l] = power[2] - sum[1] * sum[1] * one - memory[1] * memory[1] * pivot;
@@ -347,8 +372,6 @@ struct Own {
     memory: [Lanes; 2],
     decay: [Lanes; 2],
     level: [f64; 2],
-    one_memory: Lanes,
-    pivot: Lanes,
     /// One over the determinant of the powers: by it follows the most that gain and kinetic band can explain, both free of
     /// any bound; not a number where the halves are no columns apart, so that no look is spared.
     inverse: Lanes,
