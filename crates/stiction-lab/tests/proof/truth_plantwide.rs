@@ -10,7 +10,7 @@ const SEEDS: core::ops::RangeInclusive<u64> = 9001..=9007;
 
 #[test]
 fn groups_hold_what_one_source_shakes_and_independent_loops_stay_apart() {
-    let seeds: Vec<u64> = SEEDS.take(cases(3, 7)).collect();
+    let seeds: Vec<u64> = SEEDS.take(cases(4, 7)).collect();
     let plants: Vec<[usize; 4]> = std::thread::scope(|scope| {
         let running: Vec<_> = seeds.iter().map(|seed| scope.spawn(|| counted(*seed))).collect();
         running.into_iter().map(|plant| plant.join().unwrap()).collect()
