@@ -112,7 +112,7 @@ def test_a_fault_of_a_table_names_the_column(frame: Any, change: Any, said: str)
 
 
 def test_endings_are_those_of_the_program() -> None:
-    source = (ROOT / "crates" / "stiction-files" / "src" / "export" / "names.rs").read_text()
+    source = (ROOT / "crates" / "stiction-files" / "src" / "conventions.rs").read_text()
     lists = re.findall(r'\(\s*Signal::(\w+),\s*"([^"]+)",?\s*\)', source.split("const ENDS")[1].split("];")[0])
     known = {end: signal.lower() for signal, ends in lists for end in re.sub(r"\\\s+", "", ends).split("|")}
     assert len(known) > 30
