@@ -162,6 +162,18 @@ mod tests {
         }
     }
 
+    #[test]
+    #[cfg(feature = "parquet")]
+    fn a_signal_that_is_missing_throughout_stays_one() {
+        let missing = |t_ns| Sample { signal: Signal::Op, t_ns, value: Value::Missing, quality: None };
+        let number = |t_ns| Sample { signal: Signal::Pv, t_ns, value: Value::Number(1.5), quality: None };
+        let at = |k: i64| 1_781_510_400_000_000_000 + k * 1_000_000_000;
+        let one = LoadedLoop::new("FIC101", (0..5).flat_map(|k| [missing(at(k)), number(at(k))]).collect());
+        for format in Format::ALL {
+            assert_eq!(seen(&format.carry(&one)), seen(&one), "{format:?}");
+        }
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]

@@ -144,7 +144,8 @@ impl Column {
                 let value = array.as_primitive::<Float64Type>().value(at);
                 match (value.is_finite(), own) {
                     (true, _) => Cell::Number(value),
-                    (false, true) => Cell::Text("nan"),
+                    // Missing, and of a column of numbers all the same.
+                    (false, true) => Cell::Number(value),
                     (false, false) => Cell::Empty,
                 }
             }
