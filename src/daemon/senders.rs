@@ -3,7 +3,7 @@
 //! | what shows it | needs |
 //! |---|---|
 //! | two senders by turns, by the id of Zenoh's source information or of its time stamp | publishers that send one |
-//! | other values for times that came already | two sensors that are read at the same moments |
+//! | a second, different value for the same time | two sensors that are read at the same moments |
 //! | times that jump back and forth by the same amount | clocks that differ by more than a sampling time |
 //!
 //! One gateway does none of these: one that restarts has a new id and never its old one again, what it repeats has the same
@@ -15,27 +15,27 @@ use std::collections::HashSet;
 use stiction::core::record::{Sample, Signal, Value};
 use stiction_engine::engine::LoopId;
 
-/// Times that a sender comes back after another until that is a fault, and the messages within which it comes.
+/// How often senders must alternate before that is a fault, and how many messages apart at most.
 const RETURNS: u8 = 4;
 const WITHIN: u8 = 100;
-/// What a second value for a time counts against one for a new time, and the sum that is a fault.
+/// A second value adds this to a score, each new time takes 1 off: corrections are rare. The score that is a fault.
 const SECOND_VALUE: u8 = 4;
 const ENOUGH: u8 = 32;
-/// Equal jumps back until that is a fault.
+/// How many jumps back by the same amount are a fault.
 const JUMPS: u8 = 16;
 
-/// What shows that a key has two sensors.
+/// Evidence that a key has two sensors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
     /// Two senders by turns.
     Senders,
     /// Two values for one time.
     Values,
-    /// Times that jump back and forth by so many ns.
+    /// Times that alternate between two clocks, this many ns apart.
     Clocks(i64),
 }
 
-/// What came of one signal.
+/// What was heard of one signal so far.
 #[derive(Debug, Clone, Copy, Default)]
 struct Heard {
     /// The sender of the last message, and the one before it; 0 for none.

@@ -51,7 +51,7 @@ impl Drop for Room {
     }
 }
 
-/// A limit of events per second with a burst. It is told the time, s, so that tests need no clock.
+/// A token bucket. The caller passes the time, so tests need no clock.
 #[derive(Debug, Clone, Copy)]
 pub struct Rate {
     per_s: f64,

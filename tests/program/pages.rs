@@ -16,11 +16,12 @@ use std::process::{Child, Command, Output, Stdio};
 
 use crate::live::{free_port, program, skipped, wait_for};
 
-/// Lines that another test runs: how they begin, its file, and what of the line stands in that file.
+/// Lines too slow or too invasive to run here. Each names the test that covers it: the line's start, the test's file, and a text
+/// that the file must contain.
 const ELSEWHERE: &[(&str, &str, &str)] = &[
     ("cargo run -- demo", "tests/page/conftest.py", "\"demo\""),
     ("bash tests/run.sh", ".ci/run", "tests/run.sh"),
-    ("bash .ci/run", ".ci/run", ""),
+    ("bash .ci/run", ".ci/run", "bash tests/run.sh"),
     ("cargo build --release", "tests/run.sh", "cargo check --locked --quiet -p stictiond"),
     ("cargo build --profile dist", "tests/package/run.sh", "cargo build"),
     ("export PATH=", "tests/program/pages.rs", "\"PATH\""),
@@ -237,7 +238,7 @@ impl Drop for Running {
     }
 }
 
-/// A folder that has what the pages read, and ports of its own: the usual ones may be taken.
+/// A copy of what the pages read. Its daemons listen on free ports, since the usual ones may be taken.
 struct Place {
     folder: tempfile::TempDir,
     ports: [String; 2],

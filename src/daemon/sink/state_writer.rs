@@ -93,9 +93,8 @@ impl Drop for StateWriter {
 }
 
 impl StateWriter {
-    /// Starts the thread; `store` is the one that was open already, if it was, and `mark` says how far the store of documents
-    /// is. It ends when the writer is dropped and
-    /// all states are stored, or cannot be.
+    /// Starts the thread, which ends once the writer is dropped and all states are stored or cannot be. `store` is passed if it
+    /// is open already; `mark` says how far the store of documents is.
     ///
     /// # Errors
     /// The system refuses a thread.

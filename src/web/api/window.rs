@@ -212,7 +212,7 @@ impl Live {
 }
 
 impl Live {
-    /// An estimate's window, made from the recordings.
+    /// Rebuilds an estimate's window from the recordings.
     async fn recorded_window(
         &self,
         name: &str,

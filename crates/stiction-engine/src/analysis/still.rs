@@ -4,7 +4,7 @@ use stiction::core::record::{Sample, Signal};
 use stiction::core::signal::held::held_over;
 use stiction::core::units::{format_rfc3339, number, s_from_ns};
 
-/// A signal stands still where it repeats itself this often, and so many times as often as it does on average.
+/// Fewest equal values in a row that are reported as a frozen stretch, and how many times longer than the average run it must be.
 const FEWEST: usize = 30;
 const TIMES: f64 = 20.0;
 

@@ -136,7 +136,7 @@ fn unnumbered(name: &str) -> String {
     plain(name).trim_end_matches(|c: char| c.is_ascii_digit()).trim_end().to_owned()
 }
 
-/// What stands before one of these words, at the end of a heading.
+/// The tag in a heading such as `FIC101.PV quality`: the heading without its last words, if they mean quality.
 fn words_of_quality(name: &str, words: &str) -> Option<String> {
     let name = unnumbered(name);
     let parts = |word: &str| match name.strip_suffix(word)? {
