@@ -73,6 +73,10 @@ pub(crate) struct SearchSettings {
     pub much: f64,
     /// Rounds without gain, one after the other, that end a search.
     pub agreeing: usize,
+    /// Reversals of the stem below which a search goes on after a model that leaves nothing but noise, until rounds agree. Chosen
+    /// on 400 simulated loops; on 1,200 fresh ones s lay within 1 % in 1,484 of 1,514 searches instead of 1,454 (34 won, 4
+    /// lost).
+    pub few_reversals: usize,
     /// Cells to a side through which the ridge of a stem that moves seldom is walked.
     pub cells_along: usize,
     /// Whether bands read from PV's kinks are looked at, too.
@@ -120,15 +124,17 @@ impl SearchSettings {
             gain: 0.01,
             much: 0.7,
             agreeing: 3,
+            few_reversals: 8,
             cells_along: 700,
             reads_pv: true,
         }
     }
 
-    /// Only so many rounds, and no cuts: the probabilities of gap decisions were calibrated without cuts.
+    /// Only so many rounds, no cuts, and the first model that leaves only noise: the probabilities of gap decisions were
+    /// calibrated so.
     #[must_use]
     pub(crate) fn in_rounds(count: usize) -> Self {
-        let mut settings = Self { cuts: CutSettings { count: 0, ..CUTS }, ..Self::usual() };
+        let mut settings = Self { cuts: CutSettings { count: 0, ..CUTS }, few_reversals: 0, ..Self::usual() };
         settings.rounds.truncate(count);
         settings
     }

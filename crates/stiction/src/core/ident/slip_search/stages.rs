@@ -160,22 +160,30 @@ impl<'s, 'a> Search<'s, 'a> {
         for (number, round) in self.settings.rounds.iter().enumerate() {
             let before = self.best_sse();
             self.found.rounds = number + 1;
-            if number == 1 && self.shows_friction() && self.search_cuts() {
+            if number == 1 && !self.found.is_noise && self.shows_friction() && self.search_cuts() {
                 self.found.ended = Ended::Noise;
                 break;
             }
-            if let Some(ended) = self.round(number, round) {
+            let ended = self.round(number, round);
+            let best = self.best_sse();
+            agreeing = if best > (1.0 - self.settings.gain) * before { agreeing + 1 } else { 0 };
+            if self.found.is_noise {
+                self.found.ended = Ended::Noise;
+                if ended == Some(Ended::Noise) && self.stem_turns_seldom() && agreeing < self.settings.agreeing {
+                    continue;
+                }
+                break;
+            }
+            if let Some(ended) = ended {
                 self.found.ended = ended;
                 break;
             }
-            let best = self.best_sse();
             let nothing = self.without(Class::First).min(self.best().map_or(f64::INFINITY, |c| self.without(c.class)));
             // One view of the error may miss what another one shows.
             if number >= 1 && best > (1.0 - self.settings.worth_a_round) * nothing && !self.shows_in_part {
                 self.found.ended = Ended::NoFriction;
                 break;
             }
-            agreeing = if best > (1.0 - self.settings.gain) * before { agreeing + 1 } else { 0 };
             // Where much is left the law does not fit, and another round finds no other.
             let is_much = best > self.settings.much * nothing && !self.shows_in_part;
             let enough = if is_much { 1 } else { self.settings.agreeing };
@@ -187,6 +195,12 @@ impl<'s, 'a> Search<'s, 'a> {
         let mut found = self.found.clone();
         found.best.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
         (found, self)
+    }
+
+    /// Whether the stem turns so seldom that several pairs of bands can leave nothing but noise: the first such pair is then
+    /// not yet the best.
+    fn stem_turns_seldom(&self) -> bool {
+        self.best().is_some_and(|c| c.reversals < self.settings.few_reversals)
     }
 
     /// The best candidate so far.
