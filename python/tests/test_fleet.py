@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from multiprocessing import active_children
@@ -98,6 +99,27 @@ def test_rows_are_the_documents_of_replay(command: Command, results: Path, tmp_p
         assert row["process_gain"] == (document["process"] or {"gain": None})["gain"]
     assert any(row["stiction"] for row in rows) == sticks
     assert [field for field in table.schema if field.name != "loop"] == list(fleet.SCHEMA)
+
+
+def typed(program: str, places: dict[str, object]) -> list[str]:
+    """The line of the fleet's page that calls a program; `places` has what stands in place of what."""
+    page = (ROOT / "examples" / "fleet" / "README.md").read_text()
+    (line,) = (line for line in page.splitlines() if line.startswith(f"python examples/fleet/{program} "))
+    words = line.split()[1:]
+    assert set(places) <= set(words), set(places) - set(words)
+    return [str(places.get(word, word)) for word in words]
+
+
+def test_the_lines_of_the_page_run(cluster: Any, tmp_path: Path) -> None:
+    data, pool, dask = (tmp_path / name for name in ("data", "pool", "dask"))
+    address = cluster.scheduler_info()["address"]
+    for line in (
+        typed("make.py", {"data": data, "20": 1, "40": 1}),
+        typed("pool_fleet.py", {"data": data, "results": pool}),
+        typed("dask_fleet.py", {"data": data, "results": dask, "tcp://SCHEDULER:8786": address}),
+    ):
+        subprocess.run([sys.executable, *line], cwd=ROOT, check=True, capture_output=True)
+    assert contents(pool) == contents(dask) and [*pool.rglob("*.parquet")]
 
 
 def test_what_is_done_is_not_done_again(data: Path, results: Path) -> None:

@@ -1,5 +1,5 @@
 //! What the pages tell people to type: every line is run, in order, with the output that is shown, or another test runs it
-//! ([`ELSEWHERE`]). Lines that take long run with small numbers, under `--all`.
+//! ([`elsewhere`]). Lines that take long run with small numbers, under `--all`.
 //!
 //! A fenced block marked `console` shows real output of a shipped recording: where a change means to alter it, run the
 //! command and paste what it prints. `...` stands for lines, or the rest of a line, that are left out. A block marked `results`
@@ -14,40 +14,18 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
+use crate::elsewhere;
 use crate::live::{free_port, program, skipped, wait_for};
 
-/// Lines too slow or too invasive to run here. Each names the test that covers it: the line's start, the test's file, and a text
-/// that the file must contain.
-const ELSEWHERE: &[(&str, &str, &str)] = &[
-    ("cargo run -- demo", "tests/page/conftest.py", "\"demo\""),
-    ("bash tests/run.sh", ".ci/run", "tests/run.sh"),
-    ("bash .ci/run", ".ci/run", "bash tests/run.sh"),
-    ("cargo build --release", "tests/run.sh", "cargo check --locked --quiet -p stictiond"),
-    ("cargo build --profile dist", "tests/package/run.sh", "cargo build"),
-    ("export PATH=", "tests/program/pages.rs", "\"PATH\""),
-    ("packaging/deb.sh", "tests/package/run.sh", "packaging/deb.sh"),
-    ("apt-get install ./target/package", "tests/package/install.py", "\"--install\""),
-    ("editor /etc/stictiond/monitor.toml", "tests/package/install.py", "CONFIG.write_text"),
-    ("stictiond check /etc", "tests/package/install.py", "\"check\", \"/etc/stictiond/monitor.toml\""),
-    ("systemctl enable --now stictiond", "tests/package/boot.sh", "systemctl"),
-    ("stictiond-bridge discover", "tests/interop/opcua.py", "typed("),
-    ("stictiond-bridge opcua", "tests/interop/opcua.py", "typed("),
-    ("stictiond-bridge mqtt", "tests/interop/bridge.py", "typed("),
-    ("pip install ./python", "python/test.sh", "pip"),
-    ("python examples/fleet/make.py", "python/tests/test_fleet.py", "make"),
-    ("python examples/fleet/pool_fleet.py", "python/tests/test_fleet.py", "pool_fleet"),
-    ("python examples/fleet/dask_fleet.py", "python/tests/test_fleet.py", "dask_fleet"),
-];
-
 /// One line to type, and the lines that are shown below it.
-struct Step {
+pub struct Step {
     page: String,
     number: usize,
-    line: String,
+    pub line: String,
     shown: Vec<String>,
 }
 
-fn pages() -> Vec<(String, String)> {
+pub fn pages() -> Vec<(String, String)> {
     let others = ["README.md", "CONTRIBUTING.md", "crates/stictiond-bridge/README.md", "examples/fleet/README.md"];
     let mut names = others.map(str::to_owned).to_vec();
     names.extend(["packaging/README.md", "recordings/README.md"].map(str::to_owned));
@@ -60,7 +38,7 @@ fn pages() -> Vec<(String, String)> {
 }
 
 /// Every line of a page's fenced blocks that is typed, continued lines joined; blocks marked `marks`, all if empty.
-fn steps(page: &str, text: &str, marks: &[&str]) -> Vec<Step> {
+pub fn steps(page: &str, text: &str, marks: &[&str]) -> Vec<Step> {
     let mut steps: Vec<Step> = Vec::new();
     let (mut block, mut continued) = (None, false);
     for (at, line) in text.lines().enumerate() {
@@ -281,9 +259,9 @@ impl Place {
         let line = self.moved(&step.line);
         let arguments = arguments(&line).unwrap_or_default();
         match arguments.first().map(String::as_str) {
-            Some(command @ ("run" | "workbench")) => {
+            Some(command @ ("run" | "demo" | "workbench")) => {
                 // One daemon of a page after the other has the ports.
-                if command == "run" {
+                if command != "workbench" {
                     self.end();
                 }
                 self.running.push(Running::start(self.folder.path(), &arguments));
@@ -347,7 +325,7 @@ fn is_long(step: &Step) -> bool {
 
 #[test]
 fn every_line_of_the_pages_runs_and_prints_what_is_shown() {
-    let (mut faults, mut done, mut used) = (Vec::new(), 0, BTreeSet::new());
+    let (mut faults, mut done) = (Vec::new(), 0);
     for (page, text) in pages() {
         let mut here = Place::new();
         let steps = steps(&page, &text, &["sh", "console"]);
@@ -360,11 +338,7 @@ fn every_line_of_the_pages_runs_and_prints_what_is_shown() {
             }
         }
         for step in steps {
-            if let Some(known) = ELSEWHERE.iter().position(|(start, ..)| step.line.starts_with(start)) {
-                used.insert(known);
-                continue;
-            }
-            if is_long(&step) {
+            if is_long(&step) || elsewhere::runs(&step.line) {
                 continue;
             }
             if let Some(tool) = ["curl", "openssl"].into_iter().find(|tool| step.line.starts_with(*tool))
@@ -379,14 +353,6 @@ fn every_line_of_the_pages_runs_and_prints_what_is_shown() {
         }
         here.end();
     }
-    for (start, file, part) in ELSEWHERE {
-        let text = fs::read_to_string(file).unwrap_or_default();
-        if !text.contains(part) || text.is_empty() {
-            faults.push(format!("{file} does not run {start}: it lacks {part}"));
-        }
-    }
-    let stale = (0..ELSEWHERE.len()).filter(|known| !used.contains(known)).map(|known| ELSEWHERE[known].0);
-    faults.extend(stale.map(|start| format!("no page has a line that begins with {start}: take it off ELSEWHERE")));
     assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
     assert!(done > 30, "only {done} lines were found");
 }
