@@ -12,7 +12,7 @@
 //! | loops that share an oscillation, and the source of it | [`assess_plant`] |
 //! | benefit of a valve repair | [`repair()`] |
 //! | effects that the model leaves out, and how much of the gap each closes | [`diagnose`] |
-//! | the bands by a solver of your own | [`solver`] |
+//! | bands from your own solver | [`solver`] |
 //! | simulation of a loop: valve models, processes, PID, disturbances | [`sim`] |
 //!
 //! Results are typed numbers; documents implement `serde::Serialize`. The feature `schema` derives JSON Schema for the documents.
@@ -165,7 +165,7 @@ pub use crate::core::gap::model::Model as GapModel;
 pub use crate::core::gap::text::report as gap_report;
 pub use crate::core::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Neighbour, Serial, diagnose};
 
-/// From raw samples to a [`Record`]: values with timestamps of their own, late, lost or of bad quality.
+/// From raw samples to a [`Record`]: each value has its own timestamp, and some are late, missing or of bad quality.
 ///
 /// ```
 /// use stiction::record::{AlignParams, Sample, Signal, Value, align_all, record_of};
@@ -191,14 +191,14 @@ pub mod record {
     pub use crate::core::signal::history::record_of;
 }
 
-/// The bands by a solver of your own on the error surface, next to the built-in ones.
+/// Lets your own solver search the error surface for the bands, next to the built-in solvers.
 ///
 /// ```
 /// use stiction::sim::he_step;
 /// use stiction::solver::{Objective, Outcome, Settings, Solver, Surface, solve};
 /// use stiction::{Class, Law, Options, Record};
 ///
-/// /// Looks at so many pairs of bands on a diagonal of the triangle.
+/// /// Tries `budget` pairs of bands on a diagonal of the triangle.
 /// struct Diagonal;
 ///
 /// impl Solver for Diagonal {
@@ -268,7 +268,7 @@ pub mod solver {
 /// };
 /// let seed = 1;
 /// let record = ClosedLoop::new(model, 0.0, 60.0, seed).record(1800, 61.0);
-/// // The valve makes a limit cycle around the set point.
+/// // The sticking valve causes a limit cycle around the set point.
 /// let late = &record.pv[900..];
 /// assert!(late.iter().any(|pv| *pv > 61.5) && late.iter().any(|pv| *pv < 60.5));
 /// ```

@@ -1,37 +1,37 @@
-//! What a test on a running loop may ask for: the one limit of bump tests, whoever proposes them.
+//! Limits of a test on a running loop; every proposed test uses them.
 
 use serde::{Deserialize, Serialize};
 
 use crate::core::people::{about, size};
 
-/// Longest test that operations can give a loop away for, s: a shift.
+/// Longest test that operations can spare a loop for, s: a shift.
 pub const SHIFT_S: f64 = 8.0 * 3_600.0;
-/// How far a test may move PV, in spans of PV in the record.
+/// Farthest that a test may move PV, in spans of PV in the record.
 pub const PV_SPANS: f64 = 2.0;
 
 /// PV counts as moved when its mean changes by this many standard errors of the model's residual.
 const ERRORS: f64 = 4.0;
-/// Most samples of a mean that count as independent, because the residual is not white.
+/// Most samples of a mean that count as independent: the residual is not white.
 pub(crate) const INDEPENDENT: f64 = 9.0;
 
-/// Smallest move of PV that a mean of `samples` shows above a residual with mean square `mse`, PV units.
+/// Smallest move of PV that a mean over `samples` reveals above a residual with mean square `mse`, PV units.
 #[must_use]
 pub(crate) fn hidden_below(mse: f64, samples: f64) -> f64 {
     ERRORS * (2.0 * mse / samples.clamp(1.0, INDEPENDENT)).sqrt()
 }
 
-/// What a test would ask too much of.
+/// Why a test is too much for the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Excess {
-    /// PV would go too far: how far, and over which span it went in the record, PV units.
+    /// PV would move too far: its travel, and its span in the record, PV units.
     Travel(f64, f64),
-    /// It takes longer than a shift, s.
+    /// The test takes longer than a shift, s.
     Duration(f64),
 }
 
-/// What keeps a test from being proposed that moves PV by `travel_pv` and takes `total_s`, on a loop whose PV went over
-/// `pv_span` in the record; PV in one unit.
+/// Why a test that moves PV by `travel_pv` and takes `total_s` must not be proposed for a loop whose PV had the span `pv_span`
+/// in the record; both in the same unit.
 #[must_use]
 pub(crate) fn excess(travel_pv: f64, pv_span: f64, total_s: f64) -> Option<Excess> {
     if travel_pv > PV_SPANS * pv_span {
@@ -41,7 +41,7 @@ pub(crate) fn excess(travel_pv: f64, pv_span: f64, total_s: f64) -> Option<Exces
 }
 
 impl Excess {
-    /// The same in words.
+    /// The reason in words.
     #[must_use]
     pub fn words(&self) -> String {
         match self {

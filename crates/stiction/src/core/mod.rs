@@ -8,7 +8,7 @@
 //!
 //! | layer | modules |
 //! |---|---|
-//! | basics | [`units`] times, names, numbers · [`people`] numbers that a person enters · [`record`] samples, and the record of one estimate · [`guard`] what a test on a loop may ask |
+//! | basics | [`units`] times, names, numbers · [`people`] numbers rounded for people · [`record`] samples, and the record of one estimate · [`guard`] limits of a test on a running loop |
 //! | tools | [`signal`] joining, history, statistics · [`optim`] solvers |
 //! | physics | [`sim`] valve models, processes, controller, noise, closed loop: the only copy of each formula |
 //! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
@@ -34,7 +34,7 @@ pub mod sim;
 pub mod units;
 pub mod verdict;
 
-/// What was fitted to data, by name: the classifier, the widths of intervals, the decision of the gap diagnosis.
+/// Parameters fitted to data, by name: the classifier, the widths of intervals, the decision of the gap diagnosis.
 pub const CALIBRATIONS: [(&str, &str); 3] = [
     ("classifier", include_str!("verdict/rule.json")),
     ("intervals", include_str!("ident/interval.json")),

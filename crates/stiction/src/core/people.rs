@@ -1,17 +1,17 @@
-//! Numbers for people who act on them: two digits, times that a clock on the wall can be held against, steps that a
-//! controller's faceplate takes. Documents for programs keep what was computed.
+//! Numbers rounded for people who act on them: two digits, times that can be read off a wall clock, steps that a controller's
+//! faceplate accepts. Documents for programs keep the computed values.
 
 use crate::core::units::significant;
 
-/// Digits that a person needs.
+/// Significant digits that a person needs.
 const DIGITS: usize = 2;
 /// Shorter times are rounded to [`GRID_S`], longer ones to two digits, s.
 const SHORT_S: f64 = 120.0;
-/// What a person can count off a clock, s.
+/// Grid of short times, s: what a person can count off a clock.
 const GRID_S: f64 = 5.0;
-/// Faceplates take tenths; half of a step is taken too, so a step is a multiple of this.
+/// Faceplates accept tenths. The bump test also uses half a step, so a step is a multiple of this.
 const FACEPLATE: f64 = 0.2;
-/// From this OP step on whole units are enough.
+/// From this OP step on, whole units are enough.
 const WHOLE_FROM: f64 = 10.0;
 
 /// Which way a number is rounded.
@@ -25,7 +25,7 @@ enum Rounding {
 impl Rounding {
     fn to(self, grid: f64, value: f64) -> f64 {
         let times = value / grid;
-        // What is a multiple but for its last bits stays one.
+        // A value that is a multiple except for rounding errors keeps its multiple.
         let near = times.round();
         let times = match self {
             _ if (times - near).abs() < 1e-9 * near.abs().max(1.0) => near,
@@ -36,7 +36,7 @@ impl Rounding {
         times * grid
     }
 
-    /// Two digits, however large the number.
+    /// Rounds to two significant digits, whatever the magnitude.
     fn two_digits(self, value: f64) -> f64 {
         let (mut grid, mut rest) = (0.1, value.abs());
         while rest >= 10.0 && rest.is_finite() {
@@ -60,37 +60,37 @@ impl Rounding {
     }
 }
 
-/// About how long something takes.
+/// An approximate duration.
 #[must_use]
 pub fn about(seconds: f64) -> String {
     Rounding::Nearest.duration(seconds)
 }
 
-/// How long a person waits at least: rounded up.
+/// The shortest time that a person must wait: rounded up.
 #[must_use]
 pub fn at_least(seconds: f64) -> String {
     Rounding::Up.duration(seconds)
 }
 
-/// The longest time that is short enough, such as between two samples: rounded down.
+/// The longest time that is still short enough, such as between two samples: rounded down.
 #[must_use]
 pub fn at_most(seconds: f64) -> String {
     Rounding::Down.duration(seconds)
 }
 
-/// A size, such as a way of PV.
+/// A size, such as a travel of PV.
 #[must_use]
 pub fn size(value: f64) -> String {
     significant(Rounding::Nearest.two_digits(value), DIGITS)
 }
 
-/// The ends of an interval, rounded outwards: what is written is never narrower than what was found.
+/// The ends of an interval, rounded outwards, so that the written interval is never narrower than the computed one.
 #[must_use]
 pub fn interval([low, high]: [f64; 2]) -> [String; 2] {
     [Rounding::Down.two_digits(low), Rounding::Up.two_digits(high)].map(|end| significant(end, DIGITS))
 }
 
-/// A step of OP that a faceplate takes, as is its half; smaller ones than a faceplate has keep two digits.
+/// A step of OP that a faceplate accepts, as is its half; steps below the faceplate's resolution keep two digits.
 #[must_use]
 pub fn op_step(step: f64) -> f64 {
     match step.abs() {

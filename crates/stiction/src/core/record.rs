@@ -24,7 +24,7 @@ pub enum Signal {
 }
 
 impl Signal {
-    /// All signals, in the order in which samples of equal timestamps are taken (PV last: it completes a scan).
+    /// All signals, in the order in which samples with equal timestamps are processed (PV last: it completes a scan).
     pub const ALL: [Self; 5] = [Self::Op, Self::Sp, Self::Mode, Self::Mv, Self::Pv];
 
     /// Last part of the signal's key, and its CSV column.
@@ -153,7 +153,7 @@ pub struct Record {
     pub ts_s: f64,
     /// Mean time between recorded samples, s: equals `ts_s`, unless bins have a fractional number of samples.
     pub recorded_ts_s: f64,
-    /// Raw samples over which each PV is held; 1 where none is, or where a point is a bin.
+    /// Raw samples over which each PV value is held; 1 if none is held, or if a point is a bin.
     pub held: usize,
     /// Raw samples in the record.
     pub raw_samples: usize,
@@ -198,7 +198,7 @@ impl Record {
         }
     }
 
-    /// Bytes of its values.
+    /// Bytes of the record's values.
     #[must_use]
     pub fn bytes(&self) -> usize {
         let optional = [&self.sp, &self.mv].into_iter().flatten().map(Vec::len).sum::<usize>();
@@ -248,7 +248,7 @@ impl Record {
         self.pv.is_empty()
     }
 
-    /// OP values per point: 1 for raw samples, 4 for the daemon's bins, all of them for those of
+    /// OP values per point: 1 for raw samples, 4 for the daemon's bins, all raw values for bins from
     /// [`crate::core::signal::resample`].
     #[must_use]
     pub fn path_per_point(&self) -> usize {

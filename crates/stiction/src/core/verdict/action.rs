@@ -1,4 +1,4 @@
-//! What to do about an estimate: one source for report, page, alarm, terminal and console.
+//! Recommended action for an estimate: one source for report, page, alarm, terminal and console.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,20 +6,20 @@ use super::answer::{Scale, Standing};
 use super::bump_test::{self, BumpTest, Refusal};
 use super::{Assessment, NO_VALVE, SCREENED, ValvePosition, Verdict, texts};
 
-/// How the band is confirmed.
+/// How to confirm the band.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Confirm {
     /// By a bump test.
     Bump(BumpTest),
-    /// Otherwise, since no bump test is proposed.
+    /// By another method, because no bump test is proposed.
     Otherwise(Refusal),
 }
 
-/// What to do about a valve that sticks.
+/// Action for a valve that sticks.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Action {
-    /// Whether it has a dead band rather than slips.
+    /// Whether the valve has a dead band rather than slips.
     pub deadband: bool,
     /// Whether slip and play cannot be distinguished.
     pub open: bool,
@@ -31,7 +31,7 @@ pub struct Action {
 }
 
 impl Action {
-    /// Of an estimate that finds stiction; `None` of any other.
+    /// Action for an estimate that finds stiction; `None` for any other.
     #[must_use]
     pub fn of(a: &Assessment) -> Option<Self> {
         (a.stiction == Some(true)).then(|| Self {
@@ -42,7 +42,7 @@ impl Action {
         })
     }
 
-    /// What to inspect once the band is confirmed.
+    /// What to inspect after the band is confirmed.
     fn inspect(&self) -> &'static str {
         let all = match (self.open, self.deadband) {
             (true, _) => texts::OPEN_ACTION,
@@ -52,7 +52,7 @@ impl Action {
         all.split_once("then ").map_or(all, |(_, inspect)| inspect)
     }
 
-    /// Beside the test written out.
+    /// The action in sentences, for a report that also prints the steps of the test.
     #[must_use]
     pub fn words(&self) -> String {
         if let Some(position) = &self.position {
@@ -72,7 +72,7 @@ impl Action {
         }
     }
 
-    /// Alone, as an alarm has it.
+    /// The action in sentences by itself, for an alarm.
     #[must_use]
     pub fn alone(&self, op_unit: &str) -> String {
         match &self.confirm {
@@ -85,7 +85,7 @@ impl Action {
         }
     }
 
-    /// The bump test, a step an item; none where the band is confirmed otherwise.
+    /// The bump test, one step per item; empty if the band is confirmed another way.
     #[must_use]
     pub fn steps(&self, op_unit: &str) -> Vec<String> {
         match &self.confirm {
@@ -95,7 +95,7 @@ impl Action {
     }
 }
 
-/// What to do about an estimate, in sentences.
+/// The recommended action in sentences.
 #[must_use]
 pub fn what_to_do(a: &Assessment) -> String {
     if let Some(action) = Action::of(a) {
@@ -113,7 +113,7 @@ pub fn what_to_do(a: &Assessment) -> String {
     }
 }
 
-/// What a negative result leaves open.
+/// The reservation about a negative result.
 fn limit(a: &Assessment) -> String {
     match a.s_detectable {
         Some(least) => {
@@ -126,7 +126,7 @@ fn limit(a: &Assessment) -> String {
     }
 }
 
-/// What would give an answer, by the reason why there is none.
+/// Data that would allow an answer, by the reason why there is no answer.
 #[must_use]
 pub fn better_data(reason: &str) -> &'static str {
     match reason {

@@ -1,5 +1,5 @@
-//! What an estimate answers, made once for whoever shows it: where it stands, the sentence, the probability, the grade and
-//! the size, in the one unit in which sizes are told.
+//! The answer of an estimate, computed in one place for every display: standing, sentence, probability, grade and size, all in
+//! the unit in which sizes are reported.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ use super::words;
 use super::{Assessment, Verdict};
 use crate::core::people;
 
-/// Calibrated probability from which on a valve that is not called sticking is not called unseen either.
+/// Calibrated probability from which a valve below the decision threshold is reported as open instead of not seen.
 pub const OPEN_FROM: f64 = 0.3;
 
 /// Where an estimate stands on the question whether the valve sticks.
@@ -28,7 +28,7 @@ pub enum Standing {
 }
 
 impl Standing {
-    /// Of an estimate.
+    /// Standing of an estimate.
     #[must_use]
     pub fn of(a: &Assessment) -> Self {
         let p = a.p_calibrated.or_else(|| a.explanation.map(|opinion| opinion.p()));
@@ -49,7 +49,7 @@ impl Standing {
     }
 }
 
-/// The unit in which sizes are told: % of travel where OP's range is known, else OP's own.
+/// The unit in which sizes are reported: % of travel if OP's range is known, else OP's unit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scale<'a> {
     /// OP units of 1 % of travel.
@@ -58,7 +58,7 @@ pub struct Scale<'a> {
 }
 
 impl<'a> Scale<'a> {
-    /// Of an estimate.
+    /// Scale for an estimate.
     #[must_use]
     pub fn of(a: &'a Assessment) -> Self {
         let width = a.op_range.map(|[low, high]| 0.01 * (high - low).abs()).filter(|width| *width > 0.0);
@@ -71,19 +71,19 @@ impl<'a> Scale<'a> {
         if self.percent.is_some() { "% of travel" } else { self.op_unit }
     }
 
-    /// A size in it.
+    /// Converts a size from OP units.
     #[must_use]
     pub fn value(&self, op: f64) -> f64 {
         self.percent.map_or(op, |percent| op / percent)
     }
 
-    /// A size of this unit in OP units.
+    /// Converts a size back to OP units.
     #[must_use]
     pub fn op_units(&self, told: f64) -> f64 {
         self.percent.map_or(told, |percent| told * percent)
     }
 
-    /// A size with its unit; beside % of travel also in OP's unit, where the two differ.
+    /// A size with its unit; % of travel is followed by OP's unit where the two differ.
     #[must_use]
     pub fn told(&self, op: f64) -> String {
         let text = format!("{} {}", people::size(self.value(op)), self.unit());
@@ -111,7 +111,7 @@ pub struct Answer {
 }
 
 impl Answer {
-    /// Of an estimate.
+    /// Answer of an estimate.
     #[must_use]
     pub fn of(a: &Assessment) -> Self {
         Self {
@@ -124,13 +124,13 @@ impl Answer {
     }
 }
 
-/// The grade, where stiction was found: of any other answer it says nothing. Documents of earlier builds have one everywhere.
+/// The grade if stiction was found; it has no meaning for other answers. Documents of earlier builds always have one.
 #[must_use]
 pub fn grade(a: &Assessment) -> Option<char> {
     a.grade.filter(|_| Standing::of(a).is_found())
 }
 
-/// s with its interval and unit in a few words; none where no stiction was found.
+/// s with its interval and unit in a few words; `None` if no stiction was found.
 #[must_use]
 pub fn size(a: &Assessment) -> Option<String> {
     let s = a.s.filter(|_| Standing::of(a).is_found())?;
@@ -144,11 +144,12 @@ pub fn size(a: &Assessment) -> Option<String> {
     })
 }
 
-/// The cause that more than half of these verdicts name, newest first; those that find stiction or have no answer are left
-/// out. Where none has so many, the loop oscillates for an unknown cause, or does not oscillate. With how many say so of how many.
+/// The cause that more than half of these verdicts name, newest first; verdicts that find stiction or have no answer are left
+/// out. If no cause has a majority, the loop oscillates for an unknown cause, or does not oscillate. Also returns how many
+/// verdicts agree, out of how many.
 #[must_use]
 pub fn settled(newest_first: impl IntoIterator<Item = Verdict>) -> Option<(Verdict, usize, usize)> {
-    /// Verdicts that are looked at.
+    /// Verdicts considered.
     const MOST: usize = 9;
     let last: Vec<Verdict> = newest_first.into_iter().filter(|v| v.stiction() == Some(false)).take(MOST).collect();
     let count = |named: &dyn Fn(Verdict) -> bool| last.iter().filter(|v| named(**v)).count();
@@ -207,14 +208,14 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-        /// The parts of an answer agree: one of them never says what another denies.
+        /// The parts of an answer agree: none contradicts another.
         #[test]
         fn no_part_of_an_answer_contradicts_another(
             called in prop::option::of(any::<bool>()),
             p in 0.0..1.0,
             range in prop::option::of(Just([4.0, 20.0])),
         ) {
-            // A record is called sticking from the threshold on.
+            // A record is called sticking from the threshold up.
             let a = estimate(called.map(|_| p >= 0.5), p, range);
             let answer = Answer::of(&a);
             let found = answer.standing.is_found();

@@ -21,40 +21,39 @@ use crate::core::record::Record;
 use crate::core::signal::stats;
 use crate::core::units::FinalElement;
 
-/// Reason for no answer where PV never moves while OP does.
+/// Reason for no answer: PV never moves although OP does.
 const STUCK_SIGNAL: &str = "stuck_signal";
-/// Gates that do not make a fit worse by themselves: a set point that steps excites, an excursion is cut out.
+/// Gates that do not make a fit worse: steps of the set point excite the loop, and an excursion is cut out.
 const EXPLAINED: [Gate; 2] = [Gate::SetpointSteps, Gate::Excursion];
-/// Share of OP's span from which on a band is as wide as OP ever went.
+/// Share of OP's span from which a band counts as wide as the whole span.
 pub(super) const WHOLE_SWING: f64 = 0.999;
-/// An interval's upper end is multiplied by this where nothing sticks. It is that of a model that the verdict does not
-/// believe in: of sticking loops with a "no" (verdict cases of the calibration half, seeds 71500 to 72299) the valve's s
-/// lay under the end itself in 78 % of 103, under twice the end in 94 %.
+/// Factor on an interval's upper end where no stiction is found. That interval belongs to a model that the verdict does not
+/// believe: of 103 sticking loops with a "no" (verdict cases of the calibration half, seeds 71500 to 72299) the valve's s was
+/// below the upper end in 78 %, and below twice the upper end in 94 %.
 const BOUND_MARGIN: f64 = 2.0;
-/// Standard deviation of the set point over PV's from which it tells the process from the controller.
+/// Standard deviation of the set point over PV's from which its moves separate the process from the controller.
 const MOVED: f64 = 0.2;
-/// Share of PV's movement that a model may leave in the part of a record that it was not fitted to.
+/// Share of PV's movement that a model may leave unexplained in the part of a record that it was not fitted to.
 const HOLDS: f64 = 0.7;
 /// Level of the intervals in every document.
 const INTERVAL_LEVEL: f64 = 0.9;
 
 /// Judges one record: gates, oscillation, fit, verdict, grade.
 ///
-/// Pure and deterministic: the same record and parameters give the same assessment to the last bit. A blocking gate
-/// leaves every number out; values that are not finite are answered by the gates of frozen signals.
+/// Pure and deterministic: the same record and parameters give the same assessment to the last bit. A blocking gate leaves all
+/// numbers absent; the gates of frozen signals catch values that are not finite.
 #[must_use]
 pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     assess_in_windows(record, &[], params)
 }
 
-/// The same for a record too long to be judged at once: gates, oscillation and size are those of the whole, the
-/// probability is that of the window with the median logit. Where the whole is held in boxes only, the sizes are that
-/// window's, too.
+/// As [`assess`], for a record too long to be judged at once: gates, oscillation and size come from the whole, the probability
+/// from the window with the median logit. If the whole is held in boxes only, the sizes come from that window, too.
 #[must_use]
 pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessParams) -> Assessment {
     let window = Window::of(record);
     let event = excursion::without(record).filter(|_| windows.is_empty());
-    // Without a set point it may be the answer to a step.
+    // Without a set point the event may be the response to a step.
     let is_upset = record.sp.is_some();
     let calm = event.filter(|_| is_upset).map(|[from, to]| record.part(from, to));
     let record = calm.as_ref().unwrap_or(record);
@@ -95,7 +94,7 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
     document(&answer, judgement, Assessment { pv_span, ..whole }, params)
 }
 
-/// The figures that the rule asks for, of every window of the record, or the blocking gate that leaves it without an answer.
+/// The figures that the rule needs, for every window of the record, or the blocking gate that prevents an answer.
 ///
 /// # Errors
 /// The first blocking gate.
@@ -107,14 +106,14 @@ pub fn figures(record: &Record, windows: &[Record], params: &AssessParams) -> Re
     }
 }
 
-/// Whether screening rules the record out as that of a calm loop, whatever `params.screening` says.
+/// Whether screening would skip the record as that of a calm loop, whatever `params.screening` says.
 #[must_use]
 pub fn is_screened_out(record: &Record, params: &AssessParams) -> bool {
     let first = FirstLook::of(record, params);
     first.blocking().is_none() && screen::is_screened_out(record, &first.looks, &first.gates)
 }
 
-/// Writes the assessment; `whole` holds what is known of the record before any fit.
+/// Writes the assessment; `whole` holds the results from before any fit.
 fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params: &AssessParams) -> Assessment {
     let fit = answer.sized.estimate.as_ref();
     let p = answer.opinion.p();
@@ -149,16 +148,16 @@ fn document(answer: &Answer<'_>, judgement: Judgement, whole: Assessment, params
     let s_detectable = if found.stiction == Some(false) { detectable(answer, e, params) } else { None };
     let measured = intervals(e, &found.gates);
     let intervals = if judgement.not_found { bounded(&measured, s_detectable, e.span) } else { measured };
-    // An interval that ends where OP's swing does was not measured there, nor is that of a valve that does not stick.
+    // An interval that ends at OP's span was not measured there, and neither was that of a valve that does not stick.
     let is_measured = !judgement.not_found && measured.s[1] < WHOLE_SWING * e.span;
     let width = is_measured.then(|| (measured.s[1] - measured.s[0]) / e.s);
     let j_identifiable = e.spread.j_identifiable && is_one_kind(&intervals, e.s);
     let verdict = match found.verdict {
-        // Whether it slips is not known.
+        // Slip and play cannot be distinguished.
         Verdict::Deadband if !j_identifiable => Verdict::Stiction,
         other => other,
     };
-    // A likelihood that stands tells more than the parts of its record.
+    // A likelihood that is reliable says more than thirds of the record do.
     let s_thirds: Vec<f64> =
         e.spread.thirds.iter().flatten().map(|third| third.s).filter(|_| !e.spread.stands()).collect();
     let limited = !found.gates.is_empty() || !agree(&s_thirds, measured.s);
@@ -194,8 +193,8 @@ fn is_one_kind(intervals: &Intervals, s: f64) -> bool {
     low == high
 }
 
-/// Whether the record tests the process model: something moves PV apart from the controller, and the model holds where it was not
-/// fitted.
+/// Whether the record tests the process model: the set point or the valve moves PV independently of the controller, and the
+/// model holds in the part that it was not fitted to.
 fn is_tested(answer: &Answer<'_>, e: &Estimate, stiction: Option<bool>) -> bool {
     let is_excited = stiction == Some(true) || answer.sized.figures.setpoint_share >= MOVED;
     is_excited && e.held_out <= HOLDS
@@ -209,8 +208,8 @@ fn intervals(e: &Estimate, gates: &[Gate]) -> Intervals {
     e.spread.told(e.s, e.j, &settings.least(&e.spread, e.s), times).within(e.span, e.s, e.j)
 }
 
-/// Where no stiction is found the bands may be anything from none up to where the record would contradict them, and up to
-/// where they would have been found at least; `swing` is OP's, OP units.
+/// Where no stiction is found, each band lies between zero and the value that the record would contradict, but at least the
+/// detection limit; `swing` is OP's span, OP units.
 fn bounded(measured: &Intervals, s_detectable: Option<f64>, swing: f64) -> Intervals {
     let found = s_detectable.map_or(0.0, |least| least / measured.s[1].max(f64::MIN_POSITIVE));
     let times = BOUND_MARGIN.max(found);
@@ -258,7 +257,7 @@ mod tests {
     fn without_a_set_point_a_step_is_not_called_an_upset() {
         let jumped = |x: Vec<f64>| x.into_iter().enumerate().map(|(k, v)| if k < 450 { v } else { v - 90.0 }).collect();
         let [op, pv] = [61.3, 61.3].map(|period| jumped(wave(500, period)));
-        // In manual, so that nothing is fitted.
+        // In manual, so that no fit is made.
         let mut record = Record::uniform(1.0, op, pv);
         record.facts.manual = 100;
         let of = |record: &Record| assess(record, &AssessParams::default());
@@ -289,7 +288,7 @@ mod tests {
         let measured = Intervals { s: [1.5, 2.5], j: [0.5, 0.7], fs: [1.0, 1.6], fd: [0.4, 1.0] };
         let within_swing = bounded(&measured, None, 4.0);
         assert_eq!((within_swing.s, within_swing.j), ([0.0, 4.0], [0.0, 0.7 * BOUND_MARGIN]));
-        // What would not have been found is not excluded; j goes along.
+        // A band below the detection limit is not excluded; j scales with s.
         let beyond = bounded(&measured, Some(10.0), 50.0);
         assert_eq!((beyond.s, beyond.j), ([0.0, 10.0], [0.0, 0.7 * 4.0]));
     }

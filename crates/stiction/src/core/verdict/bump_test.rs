@@ -1,8 +1,8 @@
-//! The bump test: how a person measures the band of a valve by hand, sized from an estimate, and when none is proposed.
+//! The bump test: how to measure a valve's band by hand. An estimate gives its size, or a reason to propose none.
 //!
-//! In manual OP goes one way in steps of about s / 4 until PV moves: then the stem follows OP. OP is reversed; the number
-//! of steps until PV moves back counts the band. A second reversal begins with half a step, so that its count halves the
-//! uncertainty. `stiction-lab calibrate --bump-test` carries the test out on simulated valves.
+//! In manual, OP moves in one direction in steps of about s / 4 until PV moves: from then on the stem follows OP. OP is
+//! reversed; the number of steps until PV moves back measures the band. A second reversal begins with half a step, so its count
+//! halves the uncertainty. `stiction-lab calibrate --bump-test` runs the test on simulated valves.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,38 +12,38 @@ use crate::core::people::{about, at_least, op_step, size};
 use crate::core::sim::process::{separated, series_weights};
 use crate::core::units::number;
 
-/// Steps as shares of s, finest first: a coarser one where noise hides the finer.
+/// Steps as shares of s, finest first: a coarser step is used if noise hides the finer ones.
 const SHARES: [f64; 3] = [0.25, 1.0 / 3.0, 0.5];
-/// Length of a hold behind the dead time, sums of the time constants; the same for the wait until PV is steady.
+/// Length of a hold after the dead time, in sums of the time constants; the next is for the wait until PV is steady.
 const HOLD: f64 = 1.5;
 const SETTLE: f64 = 4.0;
-/// Samples that a hold has at least behind the dead time.
+/// Fewest samples in a hold after the dead time.
 const SAMPLES: f64 = 6.0;
-/// PV has moved when its mean has changed by this share of what one step gives, or by what noise does not hide.
+/// PV counts as moved when its mean changes by this share of a step's effect, or by the least change above the noise.
 const MOVED: f64 = 0.3;
-/// Bands that OP goes one way at most before the test ends without an answer.
+/// Most bands by which OP moves in one direction before the test ends without an answer.
 const MOST_BANDS: f64 = 2.5;
 
-/// A bump test, sized. OP and PV units of the record.
+/// A bump test with its sizes, in OP and PV units of the record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BumpTest {
-    /// The band that it is sized for, OP units.
+    /// The band for which the test is sized, OP units.
     pub s: f64,
     /// Each step of OP, OP units.
     pub step_op: f64,
-    /// How long OP rests after a step, s. PV is read as its mean over the last third.
+    /// How long OP is held after a step, s. PV is read as its mean over the last third.
     pub hold_s: f64,
-    /// How long PV takes to be steady, s.
+    /// How long PV takes to become steady, s.
     pub settle_s: f64,
-    /// PV has moved when its mean has changed by this, PV units.
+    /// PV counts as moved when its mean changes by this, PV units.
     pub moved_pv: f64,
     /// Steps in one direction after which the test ends without an answer.
     pub most_steps: u32,
-    /// How far PV is expected to go, PV units.
+    /// Expected travel of PV, PV units.
     pub travel_pv: f64,
-    /// How far PV may go before the test is ended, PV units.
+    /// Travel of PV at which the test must be stopped, PV units.
     pub limit_pv: f64,
-    /// How long it takes, s.
+    /// Duration of the test, s.
     pub total_s: f64,
 }
 
@@ -55,14 +55,13 @@ pub enum Refusal {
     NoSize,
     /// PV of an integrating process does not settle in manual.
     Integrating,
-    /// Noise hides what the largest step gives: standard deviation of what the model leaves, what half a band gives, PV
-    /// units.
+    /// Noise hides the effect of the largest step: standard deviation of the model's residual, effect of half a band, PV units.
     Noise(f64, f64),
-    /// It would ask too much of the loop.
+    /// The test would demand too much of the loop.
     TooMuch(Excess),
 }
 
-/// The test for an estimate, or why there is none.
+/// The test for an estimate, or why none is proposed.
 ///
 /// # Errors
 /// [`Refusal`].
@@ -76,7 +75,7 @@ pub fn bump_test(a: &Assessment) -> Result<BumpTest, Refusal> {
     let lag_s: f64 = process.time_constants_s.iter().sum();
     let hold_s = process.dead_time_s + (HOLD * lag_s).max(SAMPLES * ts_s);
     let settle_s = process.dead_time_s + (SETTLE * lag_s).max(SAMPLES * ts_s);
-    // What a move of the stem gives by the middle of the last third.
+    // Response to a stem move by the middle of the last third.
     let gain = process.gain.abs();
     let visible = gain * settled(&process.time_constants_s, 5.0 / 6.0 * hold_s - process.dead_time_s);
     let hidden = guard::hidden_below(process.mse, hold_s / (3.0 * ts_s));
@@ -105,7 +104,7 @@ pub fn bump_test(a: &Assessment) -> Result<BumpTest, Refusal> {
     })
 }
 
-/// Share of a step of its input that a process has made `after_s` behind its dead time.
+/// Share of its final value that a step response reaches `after_s` past the dead time.
 fn settled(time_constants_s: &[f64], after_s: f64) -> f64 {
     let one = |tau: f64| if tau > 0.0 { -libm::expm1(-after_s.max(0.0) / tau) } else { 1.0 };
     match *time_constants_s {
@@ -119,19 +118,19 @@ fn settled(time_constants_s: &[f64], after_s: f64) -> f64 {
 }
 
 impl BumpTest {
-    /// The band that the counts of both reversals give, OP units: the mean of the middles of what each leaves possible.
+    /// The band from the counts of both reversals, OP units: the mean of the midpoints of the two possible ranges.
     #[must_use]
     pub fn band(&self, [back, forth]: [u32; 2]) -> f64 {
         0.5 * self.step_op * (f64::from(back) + f64::from(forth) - 1.5)
     }
 
-    /// The least band that the test tells from none, OP units.
+    /// The smallest band that the test can distinguish from zero, OP units.
     #[must_use]
     pub const fn detects(&self) -> f64 {
         self.step_op
     }
 
-    /// The test as an instruction to a person, a step an item.
+    /// The test as instructions, one step per item.
     #[must_use]
     pub fn steps(&self, op_unit: &str) -> Vec<String> {
         let step_op = op_step(self.step_op);
@@ -184,12 +183,12 @@ impl BumpTest {
     }
 }
 
-/// What to do where no bump test is proposed.
+/// Recommended action if no bump test is proposed.
 const OTHER_TEST: &str = "Have a valve signature recorded (travel against signal, slowly up and down, with the loop out of \
      service), or trend the position feedback against OP over several reversals of OP.";
 
 impl Refusal {
-    /// Why there is no test, in words.
+    /// Why no test is proposed.
     #[must_use]
     pub fn words(&self) -> String {
         match self {
@@ -204,7 +203,7 @@ impl Refusal {
         }
     }
 
-    /// Why there is no test, and what to do instead.
+    /// Why no test is proposed, and what to do instead.
     #[must_use]
     pub fn instead(&self) -> String {
         format!("No bump test is proposed: {}. {OTHER_TEST}", self.words())
@@ -252,11 +251,11 @@ mod tests {
         let t = bump_test(&estimate(8.0, 3.0, 10.0)).unwrap();
         assert_eq!((t.step_op, t.hold_s, t.settle_s, t.travel_pv), (2.0, 36.0, 86.0, 10.0));
         assert!(t.total_s < 1_000.0 && t.limit_pv == 20.0 && t.most_steps == 10, "{t:?}");
-        // What s is read where PV moves at the fourth or fifth step: within an eighth of a band.
+        // s is the reading if PV moves at the fourth or fifth step: within an eighth of a band.
         assert_eq!([t.band([4, 4]), t.band([5, 5]), t.band([1, 1])], [6.5, 8.5, 0.5]);
         assert!(t.band([1, 2]) < t.detects());
         let words = t.steps("%").join(" ");
-        // Rounded up, so that PV has the time that it needs.
+        // Rounded up, so that PV has enough time.
         assert!(words.contains("for 40 s") && words.contains("wait 90 s"), "{words}");
         assert!(words.contains("by 2 %") && words.contains("n1 + n2 - 1.5") && words.contains("interlock"), "{words}");
     }

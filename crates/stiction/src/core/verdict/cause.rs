@@ -1,11 +1,11 @@
 //! Cause of an oscillation without stiction: the loop's tuning or an external disturbance; and contributing causes.
 //!
-//! The word comes from [`Ringing`]: lines that keep their phase come from outside, a mode that stands out beside them
-//! is the loop's own. The bounds were set on simulated loops of first and second order and integrating ones under
-//! random load: at 80 to 97 % of their ultimate gain, and at 20 to 50 % of it driven by a sine, a square wave or two
-//! sines: lines hold over 0.9 of the variance of the driven ones and less of the ringing ones, whose mode stands out by
-//! 2.6 to 170. Cycles from outside whose periods vary by 2 to 10 % are no lines, but keep their amplitude within 2 to
-//! 12 %, ringing loops theirs within 15 to 66 %.
+//! [`Ringing`] decides: lines that keep their phase come from outside, and a mode that stands out from the rest of the spectrum
+//! belongs to the loop. The bounds were set on simulated loops of first and second order and integrating ones under random
+//! load: at 80 to 97 % of their ultimate gain, and at 20 to 50 % of it driven by a sine, a square wave or two sines. Lines hold
+//! over 0.9 of the variance of the driven loops and less of the ringing ones, whose mode stands out by a factor of 2.6 to 170.
+//! External cycles whose periods vary by 2 to 10 % are no lines, but keep their amplitude within 2 to 12 %, ringing loops
+//! within 15 to 66 %.
 
 use core::f64::consts::PI;
 
@@ -21,37 +21,37 @@ use crate::core::ident::controller::Reading;
 use crate::core::record::Record;
 use crate::core::signal::stats;
 
-/// Share of the variance in lines of a loop that is driven externally.
+/// Share of the variance in lines above which the loop is driven externally.
 const DRIVEN: f64 = 0.85;
-/// The same where no mode shows beside them: without one, random load does not gather half of its power in lines.
+/// The same if no mode shows in addition: only a mode makes random load gather half of its power in lines.
 const HALF: f64 = 0.5;
-/// Share that must be left beside the lines for a mode of it to matter.
+/// Share of the variance outside the lines from which a mode in it matters.
 const LEFT: f64 = 0.03;
-/// Damping up to which a mode rings (what is estimated from twenty periods lies above the truth), and the height from
-/// which it stands out; the latter also beside lines that hold nearly all.
+/// Damping up to which a mode rings (an estimate from twenty periods lies above the true value), and the height from which it
+/// stands out; the last height counts even where lines hold nearly all of the variance.
 const RINGS: f64 = 0.25;
 const STANDS_OUT: f64 = 2.5;
 const TOWERS: f64 = 12.0;
-/// Unsteadiness below which an oscillation comes from outside, though its phase may wander as a cycle's does.
+/// Unsteadiness below which an oscillation comes from outside, although its phase may wander.
 const STEADY: f64 = 0.13;
-/// How many times as long as its process a loop takes that is sluggish, the damping from which it creeps, and the log likelihood
-/// ratio against ringing.
+/// A loop is sluggish if it takes this many times as long as its process, creeps if its damping is at least this, and the log
+/// likelihood ratio must be below this to rule out ringing.
 const SLUGGISH: f64 = 4.0;
 const CREEPS: f64 = 0.8;
 const NOT_RINGING: f64 = -2.0;
-/// Log likelihood ratio from which the answer to the set point alone shows that a loop rings.
+/// Log likelihood ratio from which the response to the set point alone shows that a loop rings.
 const SURE: f64 = 5.0;
-/// Share of the record beyond which a time is not measured.
+/// Largest period or time constant that a record can measure, as a share of its length.
 const WITHIN: f64 = 0.2;
 /// Damping of the linear loop below which its tuning contributes.
 const TIGHT: f64 = 0.1;
-/// The same from which the loop does not ring by itself.
+/// Damping of the linear loop from which it does not ring.
 const CALM: f64 = 0.15;
-/// Spread of the set point over PV's from which it moves the loop enough to show the process apart from disturbances.
+/// Spread of the set point over PV's from which its moves separate the process from disturbances.
 const MOVED: f64 = 0.3;
 /// Share of the variance from which a second line contributes.
 const SECOND: f64 = 0.1;
-/// Share of PV's variance that a process model may leave to be believed.
+/// Share of PV's variance that a process model may leave unexplained and still be believed.
 const FITS: f64 = 0.2;
 
 /// What a record lacks to name the cause of an oscillation, or to show a badly tuned loop.
@@ -70,7 +70,7 @@ pub enum Missing {
 }
 
 impl Missing {
-    /// What the record shows instead, without capital and full stop.
+    /// The shortcoming of the record, without capital and full stop.
     #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
@@ -82,7 +82,7 @@ impl Missing {
     }
 }
 
-/// What rings and what is forced in a record that oscillates: in PV, or in the error where the set point moves.
+/// Lines and modes in a record that oscillates: of PV, or of the control error if the set point moves.
 #[must_use]
 pub(crate) fn ringing(record: &Record, oscillation: Option<&Oscillates>) -> Option<Ringing> {
     let period = oscillation?.period_points;
@@ -93,7 +93,7 @@ pub(crate) fn ringing(record: &Record, oscillation: Option<&Oscillates>) -> Opti
     }
 }
 
-/// How PV follows a set point that moves. Ringing with too long a period for the record is none.
+/// How PV follows a moving set point. Ringing with a period too long for the record is ignored.
 #[must_use]
 pub(crate) fn following(record: &Record, oscillation: Option<&Oscillates>) -> Option<Following> {
     let sp = record.sp.as_ref().filter(|sp| sp.len() == record.len())?;
@@ -103,8 +103,9 @@ pub(crate) fn following(record: &Record, oscillation: Option<&Oscillates>) -> Op
     Some(if within(found.period_points) { found } else { Following { rings: found.rings.min(0.0), ..found } })
 }
 
-/// Whether the answer to the set point is that of a badly tuned loop: one that creeps, far more slowly than its process allows (not
-/// where that integrates: averaging level control is slow on purpose), or one that rings and is damped before it oscillates.
+/// Whether the response to the set point is that of a badly tuned loop: it creeps far more slowly than its process allows
+/// (integrating processes excepted: averaging level control is slow on purpose), or it rings, but damped, without a sustained
+/// oscillation.
 #[must_use]
 pub(crate) fn follows_badly(
     record: &Record,
@@ -122,7 +123,7 @@ pub(crate) fn follows_badly(
     (creeps && is_slow) || (!oscillation.is_some_and(|o| o.oscillating) && following.rings > SURE)
 }
 
-/// The word for a loop whose valve does not stick, and what contributes. `damping` is that of the linear loop, where the
+/// The verdict for a loop whose valve does not stick, and the contributing causes. `damping` is that of the linear loop, if the
 /// record shows it.
 #[must_use]
 pub(crate) fn cause(
@@ -141,7 +142,7 @@ pub(crate) fn cause(
     (verdict, beside.into_iter().collect())
 }
 
-/// What would have helped to name the cause: of an oscillation, or of the slow answer of a loop that does not oscillate.
+/// Data that would help to name the cause of an oscillation, or of a slow response of a loop that does not oscillate.
 #[must_use]
 pub(crate) fn missing(record: &Record, verdict: Verdict, ringing: Option<&Ringing>) -> Vec<Missing> {
     let is_long = ringing.is_some_and(|r| r.long_enough);
@@ -166,14 +167,14 @@ fn by_ringing(r: &Ringing, calm: bool) -> Verdict {
         true if height >= TOWERS && !steady => Verdict::Tuning,
         true => Verdict::Disturbance,
         false if height >= STANDS_OUT => Verdict::Tuning,
-        // Over few periods lines take up what is random, too.
+        // Over few periods lines absorb random variation, too.
         false if lines > HALF && r.long_enough => Verdict::Disturbance,
         false => Verdict::CauseUnknown,
     }
 }
 
-/// Damping of the linear loop of the process that was fitted and the controller that was read, where the set point
-/// moves: without that the fit of a loop without friction is drawn to the limit (see [`ringing`]).
+/// Damping of the linear loop of fitted process and identified controller, if the set point moves: otherwise the fit of a loop
+/// without friction is biased towards the stability limit (see [`ringing`]).
 #[must_use]
 pub(crate) fn moved_damping(estimate: Option<&Estimate>, controller: Option<&Reading>, record: &Record) -> Option<f64> {
     let spread = record.sp.as_deref().map_or(0.0, stats::std_dev);
@@ -181,8 +182,8 @@ pub(crate) fn moved_damping(estimate: Option<&Estimate>, controller: Option<&Rea
     linear_damping(estimate.filter(|_| moved)?, controller?, record)
 }
 
-/// What contributes where the valve sticks: a loop that would hardly settle with a healthy valve either, and an
-/// oscillation of another frequency.
+/// Contributing causes where the valve sticks: a loop that would hardly settle with a healthy valve either, and an oscillation
+/// of another frequency.
 #[must_use]
 pub(crate) fn beside_sticking(
     estimate: &Estimate,
@@ -190,7 +191,7 @@ pub(crate) fn beside_sticking(
     record: &Record,
     ringing: Option<&Ringing>,
 ) -> Vec<Verdict> {
-    // Gain and kinetic band can be exchanged for each other where j is not seen apart.
+    // If j is not identified separately, gain and kinetic band can compensate each other.
     let known = 5.0 * estimate.j_error < 0.33 * estimate.s;
     let damping = controller.filter(|_| known).and_then(|c| linear_damping(estimate, c, record));
     let tuning = damping.filter(|zeta| *zeta < TIGHT).map(|_| Verdict::Tuning);
@@ -206,7 +207,7 @@ fn linear_damping(estimate: &Estimate, controller: &Reading, record: &Record) ->
         gain: estimate.gain * controller.kc,
         times_s: [time(0), time(1)],
         integrating: estimate.class.integrates(),
-        // The hold of the output adds half a sample.
+        // The zero-order hold of the output adds half a sample.
         dead_time_s: estimate.dead_time_s + 0.5 * record.ts_s,
         ti_s: controller.ti_s,
         td_s: controller.td_s,
@@ -218,10 +219,10 @@ fn second_line(ringing: Option<&Ringing>) -> Option<Verdict> {
     ringing?.second.filter(|s| s.share > SECOND).map(|_| Verdict::Disturbance)
 }
 
-/// A controller and a process in a loop.
+/// A controller and a process in closed loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct LinearLoop {
-    /// Controller gain times process gain (per second too where the process integrates).
+    /// Controller gain times process gain (per second if the process integrates).
     gain: f64,
     /// Time constants, s; 0 for none.
     times_s: [f64; 2],
@@ -232,7 +233,7 @@ struct LinearLoop {
 }
 
 impl LinearLoop {
-    /// The open loop and the logarithmic derivative of it at `s`, 1/s.
+    /// The open loop L and its logarithmic derivative at `s`, 1/s.
     fn open(&self, s: Complex<f64>) -> (Complex<f64>, Complex<f64>) {
         let one = Complex::new(1.0, 0.0);
         let integral = if self.ti_s.is_finite() { one / (s * self.ti_s) } else { Complex::new(0.0, 0.0) };
@@ -253,8 +254,8 @@ impl LinearLoop {
         (value, log_slope)
     }
 
-    /// Damping of the mode nearest to the stability limit, negative beyond it: Newton's method on 1 + L(s) = 0 from
-    /// the frequency at which L comes closest to -1. `None` where it finds no oscillating mode.
+    /// Damping of the mode nearest to the stability limit, negative beyond it: Newton's method on 1 + L(s) = 0 from the
+    /// frequency at which L comes closest to -1. `None` if it finds no oscillating mode.
     fn damping(&self) -> Option<f64> {
         let slowest = self.times_s[0].max(self.ti_s.min(1e9)).max(self.dead_time_s);
         let (from, to) = (0.05 / slowest, 2.0 * PI / self.dead_time_s.max(0.02 * slowest));
@@ -265,7 +266,7 @@ impl LinearLoop {
         for _ in 0..50 {
             let (value, log_slope) = self.open(s);
             let step = (value + 1.0) / (value * log_slope);
-            // No further than half the way to the origin at once.
+            // A step is at most half the distance to the origin.
             let shrink = (0.5 * s.norm_sqr().sqrt() / step.norm_sqr().sqrt()).min(1.0);
             if !(step.re.is_finite() && step.im.is_finite()) {
                 return None;

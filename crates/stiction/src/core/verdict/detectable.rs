@@ -7,9 +7,9 @@ use crate::core::ident::hypothetical::Hypothetical;
 use crate::core::ident::{Estimate, Options};
 use crate::core::record::Record;
 
-/// Probability above which a band counts as seen.
+/// Probability from which a band counts as detected.
 const SEEN: f64 = 0.9;
-/// Share of s that is slip jump in the hypothetical valve.
+/// Slip jump j of the hypothetical valve, as a share of s.
 const JUMP: f64 = 0.3;
 /// Smallest and largest band tested, spans of OP.
 const BANDS: [f64; 2] = [0.02, 1.0];
@@ -35,13 +35,13 @@ pub(super) fn smallest(
 ) -> Option<f64> {
     let window = Window::new(record, view, options, estimate, interpolated)?;
     let share = |place: f64| BANDS[0] * libm::pow(BANDS[1] / BANDS[0], place / (GRID - 1) as f64);
-    // Places on the grid: one below all, one above.
+    // Indices on the grid: one below all bands, one above all.
     let (mut unseen, mut high, mut found) = (-1.0, GRID as f64, false);
     while high - unseen > 1.0 {
         let middle = (0.5 * (unseen + high)).floor();
         match window.shows(share(middle)) {
             Some(false) => unseen = middle,
-            // Where the stem hardly moves the band is too large.
+            // The band is too large if the stem hardly moves.
             seen => (high, found) = (middle, seen.is_some()),
         }
     }
@@ -55,7 +55,7 @@ pub(super) fn smallest(
     Some(share(high) * window.hypothetical.span())
 }
 
-/// A window with everything that does not depend on the hypothetical valve.
+/// A window with all quantities that do not depend on the hypothetical valve.
 struct Window<'a> {
     record: &'a Record,
     view: &'a View,
@@ -81,10 +81,10 @@ impl<'a> Window<'a> {
         let s = share * self.hypothetical.span();
         let valve = self.hypothetical.valve(s, JUMP * s)?;
         let view = View::beside(&self.view.output, &valve.pv, Some(share));
-        // What has no weight need not be asked.
+        // Features without weight need not be computed.
         let counts = |name: &str| Rule::shipped().names().any(|n| n == name);
         let without_fit = Figures::without_fit(self.record, &valve.pv, &view, self.interpolated, counts);
-        // Noise and disturbances are those at hand, and so is what a fit leaves of them.
+        // Noise and disturbances are the recorded ones, and so is the residual of a fit.
         let left = &self.estimate.spread.whiteness;
         let p = |index: f64| {
             let fit = FitFigures {
@@ -97,7 +97,7 @@ impl<'a> Window<'a> {
             };
             Rule::shipped().opinion(&without_fit.with_fit(fit).features()).p()
         };
-        // Most small bands are not seen even were the fit perfect; then there is no need for it.
+        // Most small bands would stay undetected even with a perfect fit; then the fit can be skipped.
         Some(p(1.0) >= SEEN && p(self.hypothetical.index(&valve)) >= SEEN)
     }
 }

@@ -1,4 +1,4 @@
-//! What a record shows: oscillation and validity checks at a first look, then the fit and the classifier's figures.
+//! Evidence in a record: oscillation and validity checks at a first look, then the fit and the classifier's figures.
 
 use super::document::{Gate, Oscillation, Process};
 use super::features::{Features, Figures};
@@ -12,7 +12,7 @@ use crate::core::ident::{Estimate, Options, quantify};
 use crate::core::record::Record;
 use crate::core::signal::stats;
 
-/// What a record shows at a first look, for a hundredth of the work of a fit.
+/// Evidence from a first look, which costs a hundredth of a fit.
 pub(super) struct FirstLook {
     pub looks: Looks,
     /// The validity checks that apply.
@@ -47,7 +47,7 @@ pub(super) fn describe(found: Option<&Oscillates>, record: &Record) -> Oscillati
     }
 }
 
-/// Samples, as they were recorded, in a point; a value that is held over several is one.
+/// Recorded samples per point; a value held over several samples counts as one.
 fn recorded_per_point(record: &Record) -> f64 {
     let held = record.held.max(1) as f64;
     if record.recorded_ts_s == record.ts_s {
@@ -57,13 +57,13 @@ fn recorded_per_point(record: &Record) -> f64 {
     }
 }
 
-/// A record and everything that a verdict on it is based on.
+/// A record and all evidence on which its verdict is based.
 pub(super) struct Evidence<'r> {
     pub record: &'r Record,
     pub first: FirstLook,
-    /// `None` where nothing was fitted.
+    /// `None` if no fit was made.
     pub estimate: Option<Estimate>,
-    /// The record as the detectors look at it.
+    /// The record in the form that the detectors need.
     pub view: View,
     /// PV lies on straight lines between stored values.
     pub interpolated: bool,
@@ -106,7 +106,7 @@ pub(super) fn options(params: &AssessParams, first: &FirstLook) -> Options {
     params.options(first.oscillation().map(|o| o.period_points))
 }
 
-/// Reversals of OP that are larger than its noise and a twentieth of its span.
+/// Reversals of OP larger than its noise and a twentieth of its span.
 fn reversals(op: &[f64]) -> usize {
     let band = (6.0 * stats::noise_sd(op)).max(0.05 * stats::span(op));
     stats::turns(op, band)
@@ -115,12 +115,12 @@ fn reversals(op: &[f64]) -> usize {
 /// The windows in which a record is judged.
 pub(super) struct Windows<'r> {
     whole: &'r Record,
-    /// Those without a blocking check; the record itself where there are none.
+    /// Windows without a blocking check; the record itself if it was not split.
     windows: Vec<Evidence<'r>>,
 }
 
 impl<'r> Windows<'r> {
-    /// `first` is the first look at the whole.
+    /// `first` is the first look at the whole record.
     pub(super) fn of(whole: &'r Record, windows: &'r [Record], params: &AssessParams, first: FirstLook) -> Self {
         let open = |record: &'r Record| {
             let first = FirstLook::of(record, params);
@@ -137,7 +137,7 @@ impl<'r> Windows<'r> {
         self.windows.iter().map(|window| window.figures).collect()
     }
 
-    /// The window that answers for the record.
+    /// The window whose logit is the median, as the answer for the record.
     pub(super) fn answer(mut self, params: &AssessParams) -> Option<Answer<'r>> {
         let (window, opinion) = Rule::shipped().answer(&self.figures())?;
         let answering = self.windows.swap_remove(window);
@@ -153,15 +153,15 @@ impl<'r> Windows<'r> {
     }
 }
 
-/// What the classifier says of a record, and where sizes come from.
+/// The classifier's answer for a record, and the source of the sizes.
 pub(super) struct Answer<'r> {
     /// Features of the answering window.
     pub features: Features,
-    /// What the classifier makes of them.
+    /// The classifier's opinion on them.
     pub opinion: Opinion,
-    /// The whole record, where it is held as recorded; else the answering window.
+    /// The whole record if it is held as recorded; else the answering window.
     pub sized: Evidence<'r>,
-    /// The controller read from the same.
+    /// The controller identified from `sized`.
     pub controller: Option<Reading>,
 }
 

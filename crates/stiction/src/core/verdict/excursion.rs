@@ -3,14 +3,14 @@
 use crate::core::record::Record;
 use crate::core::signal::stats;
 
-/// Distance from the median beyond which a value is an outlier, interquartile ranges. A square wave stays within one, a
-/// sinusoid within .8, Gaussian noise within 3.
+/// Distance from the median beyond which a value is an outlier, interquartile ranges. A square wave stays within 1, a sinusoid
+/// within 0.8, Gaussian noise within 3.
 const OUTSIDE: f64 = 4.0;
 /// Largest share of the record that can be an excursion; more is another operating state.
 const SHARE: f64 = 0.15;
 /// Fewest points: shorter ones are spikes, which fits tolerate.
 const LEAST: usize = 3;
-/// Least share of the record that must remain on one side of it.
+/// Smallest share of the record that must remain on one side of it.
 const LEFT: f64 = 0.5;
 /// Points removed on each side of it, shares of the record.
 const MARGIN: f64 = 0.01;
@@ -51,7 +51,7 @@ fn places(x: &[f64]) -> Vec<usize> {
     let sorted = stats::sorted(x);
     let [low, middle, high] = [0.25, 0.5, 0.75].map(|q| stats::quantile_sorted(&sorted, q));
     let width = high - low;
-    // What stands still most of the time has no width to hold a move against.
+    // A signal that is mostly constant has no spread to compare a move with.
     if width <= 0.02 * stats::std_dev(x) {
         return Vec::new();
     }

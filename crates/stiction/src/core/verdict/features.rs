@@ -1,4 +1,4 @@
-//! What a record shows of its valve, in figures, and the features of the classifier that are made of them.
+//! Figures that a record shows of its valve, and the classifier's features that are computed from them.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,30 +9,30 @@ use crate::core::ident::slip_search::answer::FULL_WEIGHT;
 use crate::core::record::Record;
 use crate::core::signal::stats;
 
-/// Share of the error below which less of it proves no more.
+/// Share of the error below which a smaller error proves no more.
 const LEAST_ERROR: f64 = 1e-6;
-/// Reversals of the stem from which a fit is no accident.
+/// Reversals of the stem from which a good fit is no accident.
 const MANY_REVERSALS: f64 = 12.0;
-/// What noise gives for the odd part of OP's and PV's cross-correlation, and what a sticking valve exceeds.
+/// Odd part of the cross-correlation of OP and PV that noise gives and a sticking valve exceeds.
 const HALF_ODD: f64 = 0.5;
-/// Most that the set point counts, standard deviations of PV.
+/// Cap of the set point's spread, standard deviations of PV.
 const MOST_SETPOINT: f64 = 2.0;
 
-/// Names of the features that are made of the fit, in the order of documents.
+/// Names of the features that need a fit, in the order of documents.
 pub(crate) const OF_THE_FIT: [&str; 2] = ["likelihood", "confirmed"];
-/// Detectors that are used in a feature of the fit, or left out for a PV on straight lines.
+/// Detectors that a feature of the fit uses, or that are left out for a PV on straight lines.
 const HORCH: &str = "horch";
 const JUMPS: &str = "jumps";
 
 /// Number of features.
 const COUNT: usize = OF_THE_FIT.len() + detect::ALL.len();
 
-/// Names of the features, in the order of documents: those of the fit, then the detectors.
+/// Names of all features in the order of documents: first those of the fit, then the detectors.
 pub fn names() -> impl Iterator<Item = &'static str> {
     OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()))
 }
 
-/// The features of one record; those that it does not show are absent.
+/// The features of one record; a feature that the record does not show is absent.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Features([Option<f64>; COUNT]);
 
@@ -43,7 +43,7 @@ impl Features {
         names().zip(self.0).find(|(known, _)| *known == name)?.1
     }
 
-    /// These scores, and no other feature.
+    /// Features with only these scores.
     #[cfg(test)]
     pub(crate) fn of_scores(scores: &[(&str, f64)]) -> Self {
         let score = |name: &str| scores.iter().find(|(n, _)| *n == name).map(|(_, x)| *x);
@@ -51,7 +51,7 @@ impl Features {
         Self([(); COUNT].map(|()| known.next().and_then(score)))
     }
 
-    /// Those that need no fit.
+    /// The features that need no fit.
     #[must_use]
     pub(crate) fn without_fit(mut self) -> Self {
         self.0[..OF_THE_FIT.len()].fill(None);
@@ -70,9 +70,9 @@ pub struct FitFigures {
     pub reversals: f64,
     /// Points fitted.
     pub points: f64,
-    /// Points for each independent one.
+    /// Points per independent point.
     pub inflation: f64,
-    /// Ljung and Box's statistic of the residual over 20 lags.
+    /// Statistic of Ljung and Box for the residual over 20 lags.
     pub portmanteau: f64,
 }
 
@@ -89,30 +89,30 @@ impl FitFigures {
     }
 }
 
-/// What a record shows, before anything is made of it.
+/// Figures of a record, from which features are computed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// `None` where nothing moved the stem or nothing was fitted.
+    /// `None` if the stem never moved or no fit was made.
     pub fit: Option<FitFigures>,
     /// Standard deviation of the set point over PV's, at most 2.
     pub setpoint_share: f64,
     /// PV lies on straight lines between stored values.
     pub interpolated: bool,
-    /// Scores of [`detect::ALL`]; `None` for what the record does not show.
+    /// Scores of [`detect::ALL`]; `None` for a sign that the record does not show.
     pub detectors: [Option<f64>; detect::ALL.len()],
 }
 
 impl Figures {
-    /// The figures of a record and its fit. `view` is that of the record.
+    /// The figures of a record and its fit. `view` must belong to the record.
     #[must_use]
     pub(crate) fn of(estimate: Option<&Estimate>, record: &Record, view: &View, interpolated: bool) -> Self {
         let without_fit = Self::without_fit(record, &record.pv, view, interpolated, |_| true);
         estimate.map_or(without_fit, |e| without_fit.with_fit(FitFigures::of(e, record.len())))
     }
 
-    /// Those of set point and detectors, for a PV that may be another than the record's and of which `view` was made.
-    /// Detectors that are not `asked` for are left out. Where PV is `interpolated` its corners are the recorder's, so
-    /// the detector that looks for jumps is left out.
+    /// Figures of set point and detectors, for a PV that may differ from the record's; `view` must be made from that PV. Only
+    /// detectors that are `asked` for are computed. If PV is `interpolated`, its corners come from the historian, so the
+    /// detector of jumps is left out.
     #[must_use]
     pub(crate) fn without_fit(
         record: &Record,
@@ -134,21 +134,21 @@ impl Figures {
         }
     }
 
-    /// The same with a fit.
+    /// The same figures with a fit added.
     #[must_use]
     pub(crate) fn with_fit(&self, fit: FitFigures) -> Self {
         Self { fit: Some(fit), ..*self }
     }
 
-    /// The features that are made of these figures; the detectors' are taken as they are.
+    /// The features computed from these figures; detector scores are copied.
     ///
     /// | feature | means |
     /// |---|---|
-    /// | `likelihood` | `ln(1 + n/2 ln(1 / (1 - index)))`, n the independent points: the logarithm of how much likelier the record is with friction than without; less, as `1 / (1 + (Q / 45.3)^2)`, where the statistic Q of Ljung and Box (1978) over 20 lags says that the fit leaves more than noise; 0 without a fit |
+    /// | `likelihood` | `ln(1 + n/2 ln(1 / (1 - index)))`, n the independent points: the logarithm of how much likelier the record is with friction than without; less, by the factor `1 / (1 + (Q / 45.3)^2)`, if the statistic Q of Ljung and Box (1978) over 20 lags shows that the residual is not white; 0 without a fit |
     /// | `confirmed` | the stiction index, less where s is under a fifth of OP's span, where the stem turned less than 12 times while the set point hardly moved (few turns can be an accident), and where OP is an image of PV (`horch` below 0.5: the fit may be of the controller); 0 without a fit |
     ///
-    /// None of them is made of a PV that lies on straight lines: what the recorder drew between two stored values any model
-    /// follows, and an index near 1 proves nothing.
+    /// Neither is computed for a PV on straight lines: any model follows what the historian drew between two stored values, so
+    /// an index near 1 proves nothing.
     #[must_use]
     pub fn features(&self) -> Features {
         let mut out = Features::default();
@@ -173,7 +173,7 @@ impl Figures {
 
 fn likelihood(fit: &FitFigures) -> f64 {
     let gain = -0.5 * libm::log((1.0 - fit.index).max(LEAST_ERROR)) * fit.points / fit.inflation.max(1.0);
-    // Not gain.max(0.0): which zero that is of -0.0 depends on the build, and it is written into documents.
+    // Not gain.max(0.0): for -0.0 its sign depends on the build, and documents contain it.
     let gain = if gain > 0.0 { gain } else { 0.0 };
     let coloured = fit.portmanteau / PORTMANTEAU;
     libm::log1p(gain) / (1.0 + coloured * coloured)

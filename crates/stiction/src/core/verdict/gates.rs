@@ -1,4 +1,4 @@
-//! Validity checks: what limits a record, and why.
+//! Validity checks: which limits a record has, and why.
 
 use super::document::{Gate, Oscillation};
 use super::params::AssessParams;
@@ -11,27 +11,27 @@ const MIN_SAMPLES: usize = 30;
 /// Largest share of samples in manual, or bad and filled, in a window.
 const MANUAL_SHARE: f64 = 0.05;
 const BAD_SHARE: f64 = 0.2;
-/// Samples in a period below which nothing can be said of what makes it.
+/// Samples per period below which the cause of the cycle cannot be named.
 const FEWEST_A_PERIOD: f64 = 10.0;
-/// Where PV does not answer: its distance from the set point, standard deviations of PV, throughout the window, and the
-/// share of OP's variance in a straight line while PV's holds less than the other. An integrating controller runs so against
-/// an error that it cannot move.
+/// PV does not respond: its distance from the set point throughout the window, standard deviations of PV; the share of OP's
+/// variance in a straight line; and the share of PV's variance that must not be in one. An integrating controller ramps like
+/// this against an error that it cannot remove.
 const AWAY: f64 = 3.0;
 const RUNS: f64 = 0.9;
 const FOLLOWS: f64 = 0.5;
-/// Share of its range below which the span of an OP from 0 to 1 is that of a fraction, and the least of a fraction's middle:
-/// a valve that is all but shut has such an OP, too.
+/// The span of OP relative to its range below which an OP between 0 and 1 is taken for a fraction, and the smallest median of a
+/// fraction: a nearly shut valve has such an OP, too.
 const FRACTION_SPAN: f64 = 0.01;
 const FRACTION_MIDDLE: f64 = 0.05;
 /// Share of repeated samples above which a signal counts as frozen.
 const FROZEN_SHARE: f64 = 0.995;
-/// Share of OP samples at an end of its range above which it counts as saturated: at a limit neither valve nor controller is
-/// visible, so most of the window must be between the limits. And the width of an end, spans.
+/// Share of OP samples at an end of its range above which OP counts as saturated, and the width of an end, spans. At a limit
+/// neither valve nor controller is visible, so most of the window must be between the limits.
 const SATURATED_SHARE: f64 = 0.4;
 const END_WIDTH: f64 = 1e-3;
 /// Share of held or interpolated PV samples above which a history counts as compressed (a third, as in public tools).
 const COMPRESSED_SHARE: f64 = 0.3;
-/// Number of levels up to which a signal counts as quantised, and the quantum in standard deviations.
+/// Most levels of a quantised signal, and the quantum in standard deviations from which it is coarse.
 const FEW_LEVELS: usize = 24;
 const COARSE_QUANTUM: f64 = 0.25;
 /// Variation of the sampling time (spread over mean) above which sampling counts as irregular.
@@ -41,7 +41,7 @@ const IRREGULAR: f64 = 0.1;
 #[must_use]
 pub(crate) fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) -> Vec<Gate> {
     if record.len() < MIN_SAMPLES {
-        // Of so few nobody can tell whether they stand still, or anything else.
+        // So few samples show nothing, not even whether a signal is frozen.
         return vec![Gate::TooFewSamples];
     }
     let op = record.op();
@@ -57,7 +57,7 @@ pub(crate) fn gates(record: &Record, oscillation: &Oscillation, params: &AssessP
         Gate::FrozenOp => is_frozen(&record.op_path, f64::from(facts.op_repeats) / raw),
         Gate::NoResponse => has_no_response(record, &op),
         Gate::OpScale => params.op_range.is_some_and(|range| is_fraction(&record.op_path, range)),
-        // By the controller only where a fit is worth it, which takes as long.
+        // Not by the controller: that takes as long as a fit, so it is left to records worth one.
         Gate::Swapped => swapped::by_set_point(record),
         Gate::Saturated => is_saturated(&op, params.op_range),
         Gate::TooFewSamples => periods.is_some_and(|p| p < 2.0),
@@ -69,13 +69,13 @@ pub(crate) fn gates(record: &Record, oscillation: &Oscillation, params: &AssessP
         Gate::Quantised => quantised,
         Gate::Compressed => is_compressed(record, quantised),
         Gate::Irregular => record.irregularity > IRREGULAR,
-        // Met by whoever finds it.
+        // Set by the code that finds them.
         Gate::TooFewReversals | Gate::Excursion | Gate::StepOrUpset => false,
     };
     Gate::ALL.into_iter().filter(|g| met(*g)).collect()
 }
 
-/// Never or hardly ever moves; a value that is not finite counts as not moving.
+/// The signal never or hardly ever moves; values that are not finite count as not moving.
 fn is_frozen(x: &[f64], repeats: f64) -> bool {
     let low = x.iter().copied().fold(f64::INFINITY, f64::min);
     let high = x.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -83,27 +83,27 @@ fn is_frozen(x: &[f64], repeats: f64) -> bool {
     !width.is_finite() || width <= 1e-9 * high.abs().max(low.abs()) || repeats >= FROZEN_SHARE
 }
 
-/// OP runs on in a straight line while PV rests away from its set point. Without a set point this is also how a loop looks
-/// that holds its PV against a drifting load.
+/// OP ramps in a straight line while PV rests away from its set point. Without a set point, a loop that holds its PV against a
+/// drifting load looks the same.
 fn has_no_response(record: &Record, op: &[f64]) -> bool {
     let Some(sp) = record.sp.as_deref().filter(|sp| sp.len() == record.len()) else { return false };
     let error: Vec<f64> = sp.iter().zip(&record.pv).map(|(s, p)| s - p).collect();
     let mean = stats::mean(&error);
     let away = mean.abs() > AWAY * stats::std_dev(&record.pv) && error.iter().all(|e| e * mean > 0.0);
     let in_line = |x: &[f64]| 1.0 - stats::variance(&detrend::remove_line(x)) / stats::variance(x);
-    // A controller without integral action rests away from its set point, and its OP is an image of PV.
+    // A purely proportional controller also rests away from its set point, but its OP is an image of PV.
     away && in_line(op) > RUNS && in_line(&record.pv) < FOLLOWS
 }
 
-/// Whether OP, though its range is much wider, moves between 0 and 1: it seems to be a fraction of that range.
+/// Whether OP moves between 0 and 1 although its range is much wider: it seems to be a fraction of that range.
 #[must_use]
 pub fn is_fraction(op: &[f64], [low, high]: [f64; 2]) -> bool {
     let narrow = stats::span(op) < FRACTION_SPAN * (high - low).abs();
     narrow && op.iter().all(|u| (0.0..=1.0).contains(u)) && stats::median(op) >= FRACTION_MIDDLE && !is_frozen(op, 0.0)
 }
 
-/// OP is for two fifths of the time at a limit of its range or, if that is unknown, exactly at an extreme that it otherwise
-/// leaves for many other values.
+/// OP is within 0.2 % of a limit of its range for two fifths of the time or, if no limit is reached or known, within 0.1 % of
+/// its own extreme although it has many levels.
 fn is_saturated(op: &[f64], range: Option<[f64; 2]>) -> bool {
     let n = op.len() as f64;
     let share = |test: &dyn Fn(f64) -> bool| op.iter().filter(|u| test(**u)).count() as f64 / n > SATURATED_SHARE;
@@ -120,16 +120,16 @@ fn is_saturated(op: &[f64], range: Option<[f64; 2]>) -> bool {
     stats::levels(op, FEW_LEVELS + 1) > FEW_LEVELS && (share(&|u| u >= high - width) || share(&|u| u <= low + width))
 }
 
-/// A set point that occasionally moves by more than a little of PV's own movement, rather than at every sample.
+/// The set point moves occasionally, not at every sample, and by a visible share of PV's movement.
 fn has_steps(sp: &[f64], pv: &[f64]) -> bool {
     let moves: Vec<f64> = sp.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|m| *m > 0.0).collect();
     let largest = moves.iter().copied().fold(0.0, f64::max);
     !moves.is_empty() && moves.len() * 5 < sp.len() && largest > 0.2 * stats::std_dev(pv)
 }
 
-/// Has few levels, or a resolution that is coarse compared with its movement.
+/// The signal has few levels, or a resolution that is coarse compared with its movement.
 fn is_coarse(x: &[f64]) -> bool {
-    // Most signals show many different values soon, and then neither can be.
+    // Most signals soon show so many different values that neither can apply.
     let many = (x.len() / 4 + 1).max(FEW_LEVELS + 1);
     if stats::levels(&x[..x.len().min(2 * many)], many + 1) > many {
         return false;
@@ -139,11 +139,11 @@ fn is_coarse(x: &[f64]) -> bool {
     }
     let sorted = stats::sorted(x);
     let gaps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0).collect();
-    // The tenth percentile of the gaps between values in use: on a grid it is the quantum, else far below it.
+    // The tenth percentile of the gaps between used values: on a grid it is the quantum, else far below it.
     gaps.len() * 4 < x.len() && stats::quantile(&gaps, 0.1) > COARSE_QUANTUM * stats::std_dev(x)
 }
 
-/// PV repeats itself, or is on straight lines between stored values.
+/// PV repeats itself, or lies on straight lines between stored values.
 fn is_compressed(record: &Record, quantised: bool) -> bool {
     let raw = record.raw_samples.max(1) as f64;
     if quantised {
@@ -155,7 +155,7 @@ fn is_compressed(record: &Record, quantised: bool) -> bool {
     is_interpolated(record)
 }
 
-/// PV is on straight lines between stored values: its corners come from the historian.
+/// PV lies on straight lines between stored values: its corners come from the historian.
 pub(super) fn is_interpolated(record: &Record) -> bool {
     let scale = 1e-6 * stats::std_dev(&record.pv);
     let straight =
@@ -239,7 +239,7 @@ mod tests {
         };
         assert_eq!(density(9.9, true), vec![Gate::RateTooLow, Gate::TooCoarse]);
         assert_eq!(density(10.1, true), vec![Gate::TooCoarse]);
-        // Crossings of what does not oscillate are those of its noise.
+        // Without an oscillation the zero crossings are those of noise.
         assert_eq!(density(3.0, false), vec![Gate::TooCoarse]);
     }
 
@@ -256,7 +256,7 @@ mod tests {
         };
         let ramp = |k: usize| 5.0 + 0.1 * k as f64;
         assert_eq!(found(&|k| 0.02 * noise(k), &ramp), vec![Gate::NoResponse]);
-        // Held at the set point against a load that drifts; proportional action, whose OP is an image of PV; an OP at rest.
+        // Held at the set point against a drifting load; proportional control, whose OP is an image of PV; an OP at rest.
         let answers = |pv: &dyn Fn(usize) -> f64, op: &dyn Fn(usize) -> f64| !found(pv, op).contains(&Gate::NoResponse);
         assert!(answers(&|k| 2.5 + 0.02 * noise(k), &ramp));
         assert!(answers(&|k| 1.0 + 1e-3 * k as f64, &|k| 50.0 - 0.1 * k as f64 + noise(k)));
@@ -270,7 +270,7 @@ mod tests {
             wave(500, 61.3).iter().map(|u| middle + height * (u - 50.0) / 3.0).collect()
         };
         assert!(is_fraction(&around(0.5, 0.06), range));
-        // The right range, a percentage, a valve that is shut, and one that rests.
+        // The right range, a percentage, a shut valve, and a valve at rest.
         assert!(!is_fraction(&around(0.5, 0.06), [0.0, 1.0]) && !is_fraction(&around(50.0, 0.06), range));
         assert!(!is_fraction(&around(0.01, 0.01), range) && !is_fraction(&[0.5; 500], range));
         let record = Record::uniform(1.0, around(0.5, 0.06), wave(500, 61.3));

@@ -1,19 +1,19 @@
-//! What the group of loops that share one oscillation says of one of them.
+//! Applies the result of a group of loops with a common oscillation to one member's estimate.
 
 use super::document::{Assessment, MemberJudgement, Verdict};
 use super::prevalence::for_prevalence;
 
-/// Reason of an estimate without a verdict: the loop follows an oscillation of its group, which hides the state of its valve.
+/// Reason of an estimate without a verdict: the loop follows its group's oscillation, which hides the state of its valve.
 const MASKED: &str = "masked";
 
 impl MemberJudgement {
-    /// Probability that its valve sticks where half of the valves do. Documents from before the prevalence say it as `p_stiction`.
+    /// Probability of stiction if half of the valves stick. Documents from before the prevalence store it as `p_stiction`.
     #[must_use]
     pub fn calibrated(&self) -> Option<f64> {
         self.p_calibrated.or(self.p_stiction)
     }
 
-    /// Puts the group's answer into the estimate of the member's window.
+    /// Updates the estimate of the member's window with the group's answer.
     pub fn apply(&self, a: &mut Assessment) {
         let Some(p) = self.calibrated().filter(|_| a.stiction.is_some()) else { return };
         let called = p >= a.called_at();
@@ -28,7 +28,7 @@ impl MemberJudgement {
             }
             _ => {}
         }
-        // The grade is that of the answer that is left: a finding of the group alone has no size of its own to trust.
+        // A finding that comes from the group alone has no measured size, so its grade is C.
         a.grade = a.stiction.filter(|sticks| *sticks).map(|_| a.grade.unwrap_or('C'));
         a.confidence = a.stiction.map(|_| p.max(1.0 - p));
     }

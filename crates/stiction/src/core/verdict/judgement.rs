@@ -1,4 +1,4 @@
-//! From evidence to a verdict and a grade: what the classifier says, and why that is sometimes not reported.
+//! From evidence to verdict and grade: the classifier's answer, and the cases in which it is not reported.
 
 use super::cause::{self, Missing};
 use super::document::{Assessment, CountedBy, Gate, Implausible, Oscillation, Verdict};
@@ -11,36 +11,36 @@ use crate::core::ident::region;
 use crate::core::record::Record;
 use crate::core::signal::stats;
 
-/// Reasons for no answer beside the gates and what is implausible in a record.
+/// Reasons for no answer in addition to the gates and the implausible properties of a record.
 const NOT_FITTED: &str = "not_fitted";
 const IMPLAUSIBLE_MODEL: &str = "implausible_model";
 const OP_IS_HELD: &str = "op_held";
-/// Share of OP samples equal to the one before from which its store is asked about, the samples a period that make that a
-/// matter of the store, and the moves a period below which a cycle of the valve's signal is not seen.
+/// OP counts as held if more than this share of its samples equal the one before, the record has at least this many samples per
+/// period, and OP moves less often than this per period: then the historian, not the valve's signal, shapes the cycle.
 const OP_HELD: f64 = 0.8;
 const DENSE: f64 = 50.0;
 const FEW_MOVES: f64 = 12.0;
 
-/// What is said of a record.
+/// The judgement on a record.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Judgement {
     pub verdict: Verdict,
     pub contributing: Vec<Verdict>,
     /// What is missing to name a cause.
     pub missing: Vec<Missing>,
-    /// Why the record has no answer.
+    /// Why the record gets no answer.
     pub reason: Option<&'static str>,
-    /// Why the model is not believed; empty where it is.
+    /// Why the model is not believed; empty if it is.
     pub implausible: Vec<Implausible>,
     /// Reversals of the stem, and the rule by which the record holds enough evidence.
     pub reversals: usize,
     pub counted_by: Option<CountedBy>,
-    /// The classifier finds no stiction, whether or not that is said: bands are bounded, not measured.
+    /// The classifier finds no stiction, even if this is not reported: bands are bounded, not measured.
     pub not_found: bool,
 }
 
 impl Judgement {
-    /// The judgement on a record of which `whole` holds oscillation and checks.
+    /// Judges a record; `whole` holds its oscillation and checks.
     pub(super) fn of(answer: &Answer<'_>, whole: &Assessment, params: &AssessParams) -> Self {
         let Answer { features, opinion, sized, .. } = answer;
         let implausible = implausible(sized.record, &whole.oscillation, sized.process().as_ref(), params.kind);
@@ -52,14 +52,14 @@ impl Judgement {
             None => Some(NOT_FITTED),
             Some(true) => unsupported(&implausible, counted_by, features),
             Some(false) => {
-                // Where no cycle shows, as many as a verdict wants are taken for granted.
+                // Without a cycle, assume as many periods as a verdict needs.
                 let periods = whole.oscillation.periods.unwrap_or(params.min_periods);
                 is_op_held(sized.record, periods).then_some(OP_IS_HELD).or_else(|| too_thin(counted_by))
             }
         };
         let (verdict, contributing, missing) = match called {
             _ if objection.is_some() => (Verdict::Inconclusive, Vec::new(), Vec::new()),
-            // Without bands a dead band is not told from stick and slip.
+            // Without bands, dead band and stick-slip cannot be distinguished.
             Verdict::Deadband if !implausible.is_empty() => (Verdict::Stiction, contributing, missing),
             _ => (called, contributing, missing),
         };
@@ -67,14 +67,14 @@ impl Judgement {
         Self { verdict, contributing, missing, reason: objection, implausible, reversals, counted_by, not_found }
     }
 
-    /// Probability of the answer that is given; `None` where none is.
+    /// Probability of the reported answer; `None` if there is no answer.
     pub(super) fn confidence(&self, p_calibrated: f64) -> Option<f64> {
         self.verdict.stiction().map(|_| p_calibrated.max(1.0 - p_calibrated))
     }
 }
 
-/// The verdict by the classifier alone, contributing causes, and what is missing to name one. Without a fit, a valve that appears to stick stays
-/// inconclusive.
+/// The verdict of the classifier alone, contributing causes, and the data missing to name one. Without a fit, a valve that
+/// appears to stick stays inconclusive.
 fn call(answer: &Answer<'_>) -> (Verdict, Vec<Verdict>, Vec<Missing>) {
     let Answer { opinion, sized, controller, .. } = answer;
     let (record, estimate, found) = (sized.record, sized.estimate.as_ref(), sized.first.oscillation());
@@ -100,7 +100,7 @@ fn call(answer: &Answer<'_>) -> (Verdict, Vec<Verdict>, Vec<Missing>) {
     }
 }
 
-/// The rule by which a record with so many reversals of the stem holds enough evidence, for a verdict and for an alarm.
+/// The rule by which a record with this many reversals of the stem holds enough evidence for a verdict and an alarm.
 #[must_use]
 pub(super) fn counted_by(found: &Oscillation, reversals: usize, params: &AssessParams) -> Option<CountedBy> {
     let reaches = |value: Option<f64>, least: f64| value.is_some_and(|v| v >= least);
@@ -113,19 +113,19 @@ pub(super) fn counted_by(found: &Oscillation, reversals: usize, params: &AssessP
     }
 }
 
-/// Reversals of a stem that follows OP.
+/// Reversals of a stem that follows OP exactly.
 #[must_use]
 pub(super) fn reversals_of_op(record: &Record) -> usize {
     stats::turns(&record.op_path, 0.0)
 }
 
-/// Why nothing is said of a record without enough evidence.
+/// The reason for no answer if the record does not hold enough evidence.
 fn too_thin(counted_by: Option<CountedBy>) -> Option<&'static str> {
     counted_by.is_none().then_some(Gate::TooFewReversals.name())
 }
 
-/// Why sticking is not said: the record shows no cycle of a valve, or not enough of it, or its model is that of no plant and
-/// the classifier finds no stiction without the model's say.
+/// Why stiction is not reported: the record shows no cycle of a valve, or too little of it, or the model is implausible and the
+/// classifier finds no stiction without the fit's features.
 fn unsupported(
     implausible: &[Implausible],
     counted_by: Option<CountedBy>,
@@ -136,7 +136,7 @@ fn unsupported(
     of_the_record.or_else(|| too_thin(counted_by)).or_else(|| (!stands()).then_some(IMPLAUSIBLE_MODEL))
 }
 
-/// Whether the store held OP through most of a cycle, so that what the valve was sent between is not known.
+/// Whether the historian held OP through most of a cycle, so that the valve's input between stored values is unknown.
 fn is_op_held(record: &Record, periods: f64) -> bool {
     let raw = record.raw_samples as f64;
     let repeats = f64::from(record.facts.op_repeats);
@@ -144,7 +144,7 @@ fn is_op_held(record: &Record, periods: f64) -> bool {
 }
 
 /// Grade of a finding: A without checks, with a confidence of at least 0.95 and s known to 15 %; B with at least 0.85 and s
-/// known to 30 %; C for any other, none where the valve is not said to stick. `width` is that of the interval of s relative to s.
+/// known to 30 %; C for any other; `None` if no stiction is reported. `width` is that of the interval of s relative to s.
 #[must_use]
 pub(super) fn grade(sticks: bool, confidence: Option<f64>, gated: bool, width: Option<f64>) -> Option<char> {
     let within = |least: f64, widest: f64| confidence.is_some_and(|c| c >= least) && width.is_some_and(|w| w <= widest);

@@ -8,21 +8,21 @@ use crate::core::units::{FinalElement, LoopKind};
 /// All options of [`super::assess`]. The defaults are the daemon's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AssessParams {
-    /// Number of periods below which `too_few_periods` applies, and no fit is made unless `always_fit`.
+    /// Periods below which `too_few_periods` applies, and no fit is made unless `always_fit` is set.
     pub min_periods: f64,
     /// Raw samples per period below which `too_coarse` applies.
     pub min_samples_per_period: f64,
-    /// Reversals of the stem from which a window holds enough evidence, whatever its periods.
+    /// Reversals of the stem from which a window holds enough evidence, however few its periods.
     pub min_reversals: usize,
     /// OP's range, for sizes in % of travel.
     pub op_range: Option<[f64; 2]>,
-    /// Unit of OP, for the words.
+    /// Unit of OP, for texts.
     pub op_unit: Option<String>,
-    /// Share of such loops whose valve sticks, 0..1: what `p_stiction` assumes. No verdict or alarm depends on it.
+    /// Share of such loops whose valve sticks, 0..1, as `p_stiction` assumes. No verdict or alarm depends on it.
     pub prevalence: f64,
     /// Controlled quantity.
     pub kind: LoopKind,
-    /// What OP moves: only a valve is judged for stiction.
+    /// What OP moves: stiction is judged for valves only.
     pub final_element: FinalElement,
     /// Fit in any case, as `analyze` does; the daemon waits for `min_periods` or as many reversals of OP.
     pub always_fit: bool,
@@ -51,7 +51,8 @@ impl Default for AssessParams {
 }
 
 impl AssessParams {
-    /// Options of the fit with the oscillation's period in points, if known, and the plausible values for such a loop.
+    /// Options of the fit, with the oscillation's period in points, if known, and within the plausible values for this kind of
+    /// loop.
     #[must_use]
     pub fn options(&self, period_points: Option<f64>) -> Options {
         let may = Range::of(self.kind);

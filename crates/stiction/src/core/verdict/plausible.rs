@@ -1,7 +1,7 @@
-//! Plausibility of a model to a control engineer.
+//! Plausibility of a model, as a control engineer would judge it.
 //!
-//! A fit finds the best numbers, not possible ones: it may explain a daily cycle of the load by a time constant of weeks, or
-//! a ramp by a gain of thousands. Values that no plant has are not reported.
+//! A fit finds the best numbers, not the possible ones: it may explain a daily cycle of the load by a time constant of weeks,
+//! or a ramp by a gain of thousands. Values that no plant has are not reported.
 
 use super::document::{Implausible, Oscillation, Process};
 use crate::core::record::Record;
@@ -17,7 +17,7 @@ pub struct Range {
     pub dead_time_s: f64,
     /// Longest time constant, s.
     pub time_constant_s: f64,
-    /// Whether it may be integrating.
+    /// Whether such a loop may integrate.
     pub integrates: bool,
 }
 
@@ -27,12 +27,12 @@ const fn range(kind: LoopKind, dead_time_s: f64, time_constant_s: f64, integrate
 
 /// Plausible ranges by kind of loop.
 ///
-/// Textbooks give typical values: flow and liquid pressure answer within seconds, gas pressure and level within seconds to
-/// minutes, temperature within minutes to an hour, composition within minutes to hours (Shinskey, Process Control
-/// Systems, 4th ed. 1996, properties of common loops; Seborg, Edgar, Mellichamp and Doyle, Process Dynamics and Control,
-/// ch. 12, guidelines for common loops; Smith and Corripio, Principles and Practice of Automatic Process Control,
-/// ch. 6). Set about a decade beyond them, so that a damped transmitter, a long impulse line or a slow actuator pass. A
-/// flow of liquid or gas through a valve settles: nothing is stored.
+/// Textbooks give typical values: flow and liquid pressure respond within seconds, gas pressure and level within seconds to
+/// minutes, temperature within minutes to an hour, composition within minutes to hours (Shinskey, Process Control Systems, 4th
+/// ed. 1996, properties of common loops; Seborg, Edgar, Mellichamp and Doyle, Process Dynamics and Control, ch. 12, guidelines
+/// for common loops; Smith and Corripio, Principles and Practice of Automatic Process Control, ch. 6). The limits are about a
+/// decade beyond, so that a damped transmitter, a long impulse line or a slow actuator passes. Flow of liquid or gas through a
+/// valve is self-regulating: nothing is stored.
 pub(crate) const RANGES: [Range; 6] = [
     range(LoopKind::Flow, 60.0, 300.0, false),
     range(LoopKind::Pressure, 120.0, 3_600.0, true),
@@ -50,13 +50,13 @@ impl Range {
     }
 }
 
-/// Number of samples that a time may last for any kind: the record does not resolve shorter times.
+/// Samples that a time may last for any kind of loop: the record does not resolve shorter times.
 const SAMPLES: f64 = 3.0;
 /// Largest dead time relative to the loop's period: feedback delayed by more than half a period would not sustain it.
 const HALF_A_PERIOD: f64 = 0.5;
 /// Largest gain times OP's span, spans of PV.
 const AMPLIFIES: f64 = 30.0;
-/// Least fit of a model, % of PV's standard deviation.
+/// Smallest fit of a credible model, % of PV's standard deviation.
 const LEAST_FIT_PCT: f64 = 10.0;
 /// A day, s, and the tolerance for a period of a day.
 const DAY_S: f64 = 86_400.0;
@@ -64,7 +64,7 @@ const NEAR: f64 = 0.15;
 /// Share of PV's variance in a straight line above which nothing else is visible.
 const TREND: f64 = 0.8;
 
-/// Implausible properties of a record's cycle and model; empty if there are none.
+/// Implausible properties of a record's cycle and model.
 #[must_use]
 pub(crate) fn implausible(
     record: &Record,

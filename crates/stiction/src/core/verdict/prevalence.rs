@@ -1,23 +1,23 @@
-//! The probability of stiction in a plant where not half of the valves stick.
+//! The probability of stiction in a plant where the share of sticking valves is not one half.
 //!
-//! The classifier is calibrated on sets in which half of the valves stick. Where fewer do, the same evidence proves less: the
-//! odds change by the ratio of the shares' odds.
+//! The classifier is calibrated on sets in which half of the valves stick. If fewer stick, the same evidence proves less: the
+//! posterior odds scale with the prior odds.
 
-/// Share of sticking valves among the loops that the classifier is calibrated on; documents without a prevalence mean it.
+/// Share of sticking valves among the calibration loops; documents without a prevalence refer to it.
 pub const CALIBRATED_FOR: f64 = 0.5;
 
-/// Share of sticking valves that is assumed unless a plant configures its own: "about 20-30 % of all control loops oscillate due
-/// to valve problems caused by static friction or hysteresis" (Srinivasan, Rengaswamy and Miller, Ind. Eng. Chem. Res. 44,
-/// 2005, 6708-6718).
+/// Default share of sticking valves, unless a plant configures one: "about 20-30 % of all control loops oscillate due to valve
+/// problems caused by static friction or hysteresis" (Srinivasan, Rengaswamy and Miller, Ind. Eng. Chem. Res. 44, 2005,
+/// 6708-6718).
 pub const PREVALENCE: f64 = 0.3;
 
-/// Shares that may be assumed.
+/// Shares that a plant may configure.
 pub const SHARES: [f64; 2] = [0.001, 0.999];
 
-/// The probability where `prevalence` of the valves stick, from the calibrated one; both 0..1.
+/// The probability if `prevalence` of the valves stick, from the calibrated one; both 0..1.
 #[must_use]
 pub fn for_prevalence(p_calibrated: f64, prevalence: f64) -> f64 {
-    // A plant that is certain beforehand would learn nothing from any record.
+    // A prior of 0 or 1 would ignore every record.
     let prevalence = prevalence.clamp(1e-6, 1.0 - 1e-6);
     let yes = p_calibrated * prevalence / (1.0 - prevalence);
     yes / (yes + (1.0 - p_calibrated))

@@ -1,12 +1,12 @@
-//! From signs to a probability: a logistic rule, its weights in a file beside it.
+//! Logistic regression from features to a probability; its weights are in `rule.json`.
 //!
-//! `logit p = constant + sum of weight * feature`. Where the file holds several such rules, which then look at different
-//! features and err on different records, the mean of their logits is the answer. A feature is a figure of the fit or an indicator, found by its name. One
-//! that a record does not show counts as its mean over the cases that the rule was fitted to, so it adds nothing. The
-//! contribution of each is its weight times its distance from that mean; together with `base`, the logit where every
-//! feature has its mean, they add up to the logit.
+//! `logit p = constant + sum of weight * feature`. The file may hold several such rules, which use different features and err
+//! on different records; the answer is the mean of their logits. A feature is a figure of the fit or an indicator, identified
+//! by its name. If a record does not show it, it takes its mean over the calibration cases, so it adds nothing. Its
+//! contribution is its weight times its distance from that mean; the contributions and `base`, the logit where every feature
+//! has its mean, add up to the logit.
 //!
-//! A long record is looked at in windows, of which the one with the median logit answers.
+//! A long record is split into windows; the window with the median logit answers.
 
 use std::sync::LazyLock;
 
@@ -15,29 +15,29 @@ use serde::{Deserialize, Serialize};
 use super::features::{self, Features, Figures};
 use crate::core::detect::Indicator;
 
-/// One feature's part in the rule.
+/// Weight of one feature.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Weight {
     /// Name of the feature.
     pub feature: String,
-    /// Logit for each unit of it.
+    /// Logit per unit of the feature.
     pub weight: f64,
-    /// Its mean over the cases that the rule was fitted to.
+    /// The feature's mean over the calibration cases.
     pub mean: f64,
 }
 
-/// What the rule was fitted to.
+/// Calibration cases of the rule.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Made {
     /// Simulated sticking loops.
     pub sticking_loops: usize,
     /// Simulated healthy loops.
     pub healthy_loops: usize,
-    /// Real valves that weigh as much as all simulated loops together.
+    /// Weight of all simulated loops together, in real valves.
     pub simulated_weight: f64,
     /// Labelled recordings of real loops.
     pub recordings: usize,
-    /// Valves that these show, each weighing 1.
+    /// Valves in these recordings, each with weight 1.
     pub valves: usize,
     /// Ridge penalty on the weights of standardised features.
     pub ridge: f64,
@@ -50,7 +50,7 @@ pub struct Made {
 pub struct Logistic {
     /// Logit where every feature is 0.
     pub constant: f64,
-    /// The features that count.
+    /// The features with a weight.
     pub weights: Vec<Weight>,
 }
 
@@ -80,15 +80,15 @@ pub struct Cuts {
 pub struct Rule {
     /// The rules whose logits are averaged.
     pub parts: Vec<Logistic>,
-    /// What follows from the probability.
+    /// Decision thresholds.
     pub cuts: Cuts,
-    /// What it was fitted to.
+    /// Calibration cases of the rules.
     pub made: Made,
 }
 
-/// The rule that this build judges by.
+/// The rule of this build.
 static SHIPPED: LazyLock<Rule> = LazyLock::new(|| {
-    // A test reads the file; an empty rule calls nothing.
+    // A test parses the file; an empty rule never calls stiction.
     let nothing = Rule { parts: Vec::new(), cuts: Cuts { called: 1.0, alarm: 1.0 }, made: Made::default() };
     serde_json::from_str(include_str!("rule.json")).unwrap_or(nothing)
 });
@@ -112,13 +112,13 @@ impl Opinion {
         logistic(self.logit)
     }
 
-    /// Whether it is said to stick.
+    /// Whether the probability reaches the decision threshold.
     #[must_use]
     pub fn sticks(&self) -> bool {
         self.p() >= self.cuts.called
     }
 
-    /// Whether it is sure enough to count towards an alarm.
+    /// Whether the probability is high enough to count towards an alarm.
     #[must_use]
     pub fn alarms(&self) -> bool {
         self.p() >= self.cuts.alarm
@@ -132,13 +132,13 @@ pub fn logistic(x: f64) -> f64 {
 }
 
 impl Rule {
-    /// The rule that this build judges by.
+    /// The rule of this build.
     #[must_use]
     pub fn shipped() -> &'static Self {
         &SHIPPED
     }
 
-    /// Names of the features that count, each once.
+    /// Names of the features with a weight, each once.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         let all = || self.parts.iter().flat_map(|part| &part.weights).map(|w| w.feature.as_str());
         all()
@@ -147,7 +147,7 @@ impl Rule {
             .map(|(_, name)| name)
     }
 
-    /// What the rule makes of a record's features.
+    /// Applies the rule to a record's features.
     #[must_use]
     pub fn opinion(&self, features: &Features) -> Opinion {
         let base = self.mean(Logistic::base);
@@ -155,7 +155,7 @@ impl Rule {
         Opinion { base, logit: base + contributions, cuts: self.cuts }
     }
 
-    /// Every feature as an indicator of documents.
+    /// Every feature as an indicator, as documents list it.
     #[must_use]
     pub(crate) fn indicators(&self, features: &Features) -> Vec<Indicator> {
         let of = |name| {
@@ -166,12 +166,12 @@ impl Rule {
         features::names().map(of).collect()
     }
 
-    /// One feature's part of the logit, against its mean; 0 where the record does not show it or it does not count.
+    /// A feature's contribution to the logit, relative to its mean; 0 if the record does not show it or it has no weight.
     fn contribution(&self, name: &str, features: &Features) -> f64 {
         features.get(name).map_or(0.0, |x| self.mean(|part| part.contribution(name, x)))
     }
 
-    /// The place of the window that answers for a record, and what the rule makes of it; `None` without a window.
+    /// Index of the window that answers for a record, and the rule's opinion on it; `None` without a window.
     #[must_use]
     pub fn answer(&self, windows: &[Figures]) -> Option<(usize, Opinion)> {
         let of = |figures: &Figures| self.opinion(&figures.features());

@@ -1,9 +1,9 @@
 //! Screening: a calm loop gets its verdict without a fit.
 //!
-//! Most windows of most plants are of loops that do not oscillate and have a constant set point. If PV also does not move in
-//! jumps and no simulated stem predicts PV better than OP, a full assessment would end at `not_oscillating` for about a hundred
-//! times the work. Such a window gets that verdict at once. Values not computed, the probability among them, are null, and
-//! `reason` is `screened`.
+//! Most windows of most plants come from loops that do not oscillate and have a constant set point. If PV also has no jumps and
+//! no simulated stem predicts PV better than OP does, a full assessment would end at `not_oscillating` after about a hundred
+//! times the work. Such a window gets that verdict at once. Values that were not computed, such as the probability, are null,
+//! and `reason` is `screened`.
 
 use super::document::{Assessment, Gate, Verdict};
 use super::features::Features;
@@ -18,23 +18,25 @@ pub const SCREENED: &str = "screened";
 
 /// Largest spread of the set point, relative to PV's, that counts as constant.
 const RESTS: f64 = 0.02;
-/// Regularity and persistence of a signal from which both together may be an oscillation: the latter half of what makes
-/// one.
+/// Regularity and persistence of a signal from which the two together may be an oscillation; the second is half of what an
+/// oscillation needs.
 const REGULAR: f64 = 1.0;
 const PERSISTENT: f64 = 0.1;
-/// Largest signs of a sticking valve, see [`calm::Signs`]. Of 560 simulated and real loops that do not oscillate, three that
-/// the rule does not call healthy show less than 0.055 and 3.3, none of them less than 0.005 and 1.6; noise alone shows
-/// stems up to 6. On 220 others, which these two were not chosen on, one is let go that the rule calls sticking at
-/// p = 0.54: no jumps, and no stem predicts better than OP.
+/// Largest signs of a sticking valve that pass, see [`calm::Signs`]. Of 560 simulated and real loops that do not oscillate,
+/// three that the rule does not call healthy show less than 0.055 and 3.3, but none of them less than 0.005 and 1.6; noise
+/// alone shows stems up to 6. Of 220 others, on which these two were not chosen, one that the rule calls sticking at p = 0.54
+/// is screened out: it has no jumps, and no stem predicts better than OP.
 const JUMPS: f64 = 0.04;
 const STEM: f64 = 1.0;
-/// Span of OP over its noise's standard deviation up to which OP is nothing but noise (of white noise it is five): no stem is
-/// seen to travel there. And the same sign of a stem then. Chosen on these: of 220 simulated loops that do not oscillate, one
-/// that the rule does not call healthy has so narrow an OP, its stem shows 48; of the 19 healthy ones 17 show less than 12.
+/// Span of OP over its noise's standard deviation up to which OP is noise only (for white noise the ratio is five), so that no
+/// travel of a stem can be seen; the next is the largest sign of a stem in that case. Both were chosen on these: of 220
+/// simulated loops that do not oscillate, one that the rule does not call healthy has so narrow an OP, and its stem shows 48;
+/// of the 19 healthy ones 17 show less than 12.
 const NOISE_SPAN: f64 = 12.0;
 const STEM_IN_NOISE: f64 = 15.0;
-/// The same for a signal on a coarse grid, which hides what a stem does if it travels. Chosen on 3,334 simulated loops with grids of 0.3
-/// to 0.6 standard deviations: by the two above 2 of 334 that are screened out would not have been called healthy, by these none of 210.
+/// The same for a signal on a coarse grid, which hides small travel of a stem. Chosen on 3,334 simulated loops with grids of
+/// 0.3 to 0.6 standard deviations: with the two above, 2 of 334 that are screened out would not have been called healthy, with
+/// these none of 210.
 const ON_GRID: [f64; 2] = [9.0, 6.0];
 
 /// Whether a record without a blocking check can be screened.
@@ -48,8 +50,8 @@ pub fn is_screened_out(record: &Record, looks: &Looks, gates: &[Gate]) -> bool {
         && calm::signs(record, looks.typical_period).is_some_and(|s| s.jumps <= JUMPS && s.stem <= most)
 }
 
-/// Sign of a stem up to which none is seen; `None` behind a gate that hides it: a set point that moves excites the loop, and
-/// rounding hides what a stem does if it travels.
+/// Largest sign of a stem at which no stem is detected; `None` behind a gate that hides it: a moving set point excites the
+/// loop, and rounding hides the travel of a stem.
 fn most_of_a_stem(record: &Record, gates: &[Gate]) -> Option<f64> {
     let op = record.op();
     let within = |spans: f64| stats::span(&op) <= spans * stats::noise_sd(&op);
@@ -71,7 +73,7 @@ fn may_oscillate(of: Option<Oscillates>) -> bool {
     of.is_some_and(|o| o.regularity > REGULAR && o.persistence > PERSISTENT)
 }
 
-/// The assessment of a screened window, of which `whole` holds oscillation, checks and evidence.
+/// The assessment of a screened window; `whole` holds oscillation, checks and evidence.
 pub(crate) fn answer(whole: Assessment) -> Assessment {
     let verdict = Verdict::NotOscillating;
     Assessment {

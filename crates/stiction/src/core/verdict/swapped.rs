@@ -1,17 +1,17 @@
-//! Whether OP and PV stand under each other's names: by the set point where there is one, by the controller where there is none.
+//! Whether OP and PV are swapped: judged by the set point if there is one, else by the controller.
 
 use crate::core::detect::oscillation;
 use crate::core::ident::controller;
 use crate::core::record::Record;
 use crate::core::signal::stats;
 
-/// Distances of the means of OP and PV from that of the set point, in standard deviations of each, at which the two seem to be
-/// swapped. None of 106 labelled recordings with a set point is taken for swapped; 75 of them are once OP and PV are exchanged.
+/// Distances of the means of OP and PV from that of the set point, in standard deviations of each, at which the two count as
+/// swapped. None of 106 labelled recordings with a set point counts as swapped; with OP and PV exchanged, 75 of them do.
 const NEAR_SET_POINT: f64 = 0.1;
 const FAR_FROM_SET_POINT: f64 = 2.0;
-/// Points in a period below which one signal leads the other as well as it follows it.
+/// Points per period below which the data do not show which of two signals leads.
 const FEWEST_A_PERIOD: f64 = 10.0;
-/// Points in which a controller is looked for.
+/// Most points in which a controller is identified.
 pub const POINTS: usize = 3000;
 
 /// OP is at the set point on average, and PV is far from it. `false` without a set point.
@@ -53,7 +53,7 @@ mod tests {
             by_set_point(&Record { sp: Some(vec![sp; 500]), ..Record::uniform(1.0, wave(500, op), wave(500, pv)) })
         };
         assert!(found(50.0, 50.0, 30.0));
-        // An offset of PV alone, an OP that happens to have PV's level, and no set point are no sign of it.
+        // An offset of PV alone, an OP that happens to have PV's level, and a missing set point are no sign of a swap.
         assert!(!found(60.0, 50.0, 30.0) && !found(50.0, 50.0, 50.0));
         assert!(!by_set_point(&Record::uniform(1.0, wave(500, 50.0), wave(500, 30.0))));
     }

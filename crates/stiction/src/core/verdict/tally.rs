@@ -1,17 +1,17 @@
-//! How good verdicts are against labels: counts, intervals, Brier score, reliability.
+//! Scores of verdicts against labels: counts, intervals, Brier score, reliability.
 
 use serde::Serialize;
 
 /// One judged case.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scored {
-    /// What the label says: the valve sticks.
+    /// The label: whether the valve sticks.
     pub truth: bool,
-    /// What was answered.
+    /// The verdict.
     pub answer: Option<bool>,
     /// Probability given.
     pub p: Option<f64>,
-    /// What the case counts: 1, or its share of a valve.
+    /// Weight of the case: 1, or its share of a valve.
     pub weight: f64,
 }
 
@@ -23,7 +23,7 @@ impl Scored {
     }
 }
 
-/// Sums of weights; whole numbers where every case counts 1.
+/// Sums of weights; whole numbers if every case has weight 1.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Tally {
     /// True positives.
@@ -107,18 +107,18 @@ fn truth(case: &Scored) -> f64 {
     f64::from(u8::from(case.truth))
 }
 
-/// A line of a reliability table: cases given about the same probability, and how many of them were sticking.
+/// A row of a reliability table: cases with about the same probability, and how many of them stick.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bin {
-    /// Least probability in it.
+    /// Lower edge of the bin.
     pub from: f64,
-    /// Largest.
+    /// Upper edge of the bin.
     pub to: f64,
-    /// Cases.
+    /// Number of cases.
     pub count: usize,
     /// Weighted mean of their probabilities.
     pub mean_p: f64,
-    /// Weighted share of sticking ones among them.
+    /// Weighted share of sticking cases among them.
     pub rate: f64,
 }
 
@@ -131,7 +131,7 @@ impl Bin {
     }
 }
 
-/// Reliability over bins of equal width; empty ones are left out.
+/// Reliability over bins of equal width; empty bins are left out.
 #[must_use]
 pub fn reliability(cases: &[Scored], bins: usize) -> Vec<Bin> {
     let edge = |k: usize| k as f64 / bins as f64;
@@ -154,7 +154,7 @@ pub fn reliability_equal(cases: &[Scored], bins: usize) -> Vec<Bin> {
     parts.filter(|part| !part.is_empty()).map(|part| Bin::of(part, p(part.first()), p(part.last()))).collect()
 }
 
-/// Mean distance between probability and rate over the bins, each counting alike.
+/// Mean distance between probability and rate, unweighted over the bins.
 #[must_use]
 pub fn miscalibration(bins: &[Bin]) -> Option<f64> {
     let sum: f64 = bins.iter().map(|b| (b.mean_p - b.rate).abs()).sum();

@@ -1,22 +1,22 @@
-//! The one list of verdict texts: reports, alarms, terminal, page (`src/web/assets/verdicts.js`) and docs/read-a-result.md have
-//! them from here.
+//! The only list of verdict texts: reports, alarms, terminal, page (`src/web/assets/verdicts.js`) and docs/read-a-result.md
+//! take them from here.
 //!
-//! A verdict below the decision threshold says what was not found, never that a valve is healthy.
+//! A negative verdict says that no sign was found, never that a valve is healthy.
 
 use serde::Serialize;
 
 use super::Verdict;
 
-/// What is written of a verdict.
+/// Texts of a verdict.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Text {
     /// The verdict's id in documents.
     pub id: &'static str,
     /// In a word or two, for tiles and filters.
     pub short: &'static str,
-    /// What it says, without capital and full stop.
+    /// The verdict in a sentence, without capital and full stop.
     pub sentence: &'static str,
-    /// What to do, before what the estimate adds.
+    /// The action, which the estimate may extend.
     pub action: &'static str,
 }
 
@@ -80,13 +80,14 @@ pub const fn of(v: Verdict) -> Text {
     }
 }
 
-/// The sentence of a sticking valve whose slip jump is not known: packing and play look alike then.
+/// The sentence for a sticking valve whose slip jump is unknown: slip from packing and play look alike then.
 pub(crate) const OPEN: &str = "the valve sticks; slip or play cannot be distinguished";
-/// What to inspect then.
+/// What to inspect in that case.
 pub(crate) const OPEN_ACTION: &str = "confirm the band by a test; then inspect packing, actuator, air supply and positioner (slip), \
      and linkage, gears and positioner feedback (play)";
 
-/// Beside the verdict where the probability is neither that of a finding nor that of an unseen band, and what to do then.
+/// Follows the verdict if the probability is below the threshold but not low enough for "not seen"; the next is the action for
+/// it.
 pub(crate) const UNDECIDED: &str = "whether the valve sticks is open";
 pub(crate) const UNDECIDED_ACTION: &str = "judge further windows, or a record in which OP moves more; if the loop matters, \
      check the valve with operations' consent by small steps of OP in both directions";

@@ -1,4 +1,4 @@
-//! What a recorded valve position shows by itself: how far OP goes after a reversal before the valve follows.
+//! Hysteresis from a recorded valve position: how far OP moves after a reversal before the valve follows.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,13 +7,13 @@ use crate::core::record::Record;
 use crate::core::signal::stats;
 use crate::core::units::number;
 
-/// Standard deviations of its noise from which a change of the position is a move.
+/// Change of the position that counts as a move, standard deviations of its noise.
 const MOVES: f64 = 4.0;
-/// Share of the largest moves below which a change is not taken for a move either.
+/// Smallest change that counts as a move, as a share of the largest moves.
 const LEAST_MOVE: f64 = 0.05;
 /// Fewest moves in each direction.
 const FEWEST: usize = 5;
-/// Share of OP's variance at the moves that the position has to explain.
+/// Share of OP's variance at the moves that the position must explain.
 const EXPLAINED: f64 = 0.5;
 
 /// The hysteresis between OP and the recorded valve position.
@@ -28,7 +28,7 @@ pub struct ValvePosition {
 }
 
 impl ValvePosition {
-    /// Of a record; `None` where no position is recorded.
+    /// Hysteresis in a record; `None` if no position is recorded.
     #[must_use]
     pub(crate) fn of(record: &Record) -> Option<Self> {
         let mv = record.mv.as_deref().filter(|mv| mv.len() == record.len() && stats::span(mv).is_normal())?;
@@ -55,8 +55,8 @@ impl ValvePosition {
     }
 }
 
-/// OP at the valve's moves, regressed on the position, both halfway through each move, and its direction: twice what that
-/// adds is the width.
+/// Regresses OP at the valve's moves on the position, both halfway through each move, and on the move's direction: the width is
+/// twice the direction's coefficient.
 fn width(op: &[f64], mv: &[f64]) -> Option<f64> {
     let finite = op.iter().chain(mv).all(|v| v.is_finite());
     let steps: Vec<f64> = mv.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
@@ -92,7 +92,8 @@ mod tests {
     use super::*;
     use crate::core::sim::noise::Noise;
 
-    /// A stem that rests until OP is `fs` ahead of it and goes on to `fd` behind; its position in other units, with noise.
+    /// A stem that rests until OP is `fs` ahead and then moves to `fd` behind it; returned as a position in other units, with
+    /// noise.
     fn recorded(fs: f64, fd: f64, noise_sd: f64) -> Record {
         let (mut noise, mut stem) = (Noise::new(3, 1), 50.0);
         let op: Vec<f64> = (0..2_000).map(|k| 50.0 + 6.0 * libm::sin(f64::from(k) * 0.04)).collect();

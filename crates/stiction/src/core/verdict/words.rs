@@ -17,8 +17,8 @@ pub const fn verdict(v: Verdict) -> &'static str {
     texts::of(v).sentence
 }
 
-/// The verdict of a record in a sentence: only suspected where the probability would not raise an alarm, open where slip and
-/// play look alike, with the detection limit where nothing was found, with its reservation below grade A.
+/// The verdict on a record in a sentence: "suspected" if the probability would not raise an alarm, open if slip and play look
+/// alike, with the detection limit if nothing was found, and with a reservation below grade A.
 #[must_use]
 pub fn headline(a: &Assessment) -> String {
     let mut text = claim(a);
@@ -46,7 +46,7 @@ pub fn claim(a: &Assessment) -> String {
     }
 }
 
-/// The sentence of an estimate that finds no stiction, under the cause that its loop shows.
+/// The sentence of an estimate that finds no stiction, for a display that already names the cause.
 #[must_use]
 pub fn beside_cause(a: &Assessment, cause: Verdict) -> String {
     let rest = if Standing::of(a) == Standing::Open { texts::UNDECIDED.to_owned() } else { not_seen(a) };
@@ -66,7 +66,7 @@ fn not_seen(a: &Assessment) -> String {
     }
 }
 
-/// What keeps a finding below grade A, in a few words; none for grade A, and where no stiction was found.
+/// The reason for a grade below A, in a few words; `None` for grade A, and if no stiction was found.
 #[must_use]
 pub fn reservation(a: &Assessment) -> Option<String> {
     if answer::grade(a)? == 'A' {
@@ -97,13 +97,13 @@ pub fn reservation(a: &Assessment) -> Option<String> {
     Some(why.join("; "))
 }
 
-/// Whether the thirds of the window lie farther apart than the interval of s is wide.
+/// Whether the thirds of the window differ by more than the interval of s.
 #[must_use]
 pub fn thirds_disagree(a: &Assessment) -> bool {
     a.s_interval.is_some_and(|interval| !agree(&a.s_thirds, interval))
 }
 
-/// Whether the estimate or its interval ends where OP's span does: then s was not measured upwards.
+/// Whether the estimate or its interval reaches OP's span: then s has no measured upper bound.
 #[must_use]
 pub fn at_bound(a: &Assessment) -> bool {
     let Some((s, share)) = a.s.zip(a.s_over_span).filter(|(_, share)| *share > 0.0) else { return false };
@@ -111,7 +111,7 @@ pub fn at_bound(a: &Assessment) -> bool {
     highest >= WHOLE_SWING * s / share
 }
 
-/// A further cause beside the verdict.
+/// A contributing cause, in a sentence.
 #[must_use]
 pub const fn beside(v: Verdict) -> &'static str {
     match v {
@@ -121,7 +121,7 @@ pub const fn beside(v: Verdict) -> &'static str {
     }
 }
 
-/// What to do about it.
+/// The recommended action.
 #[must_use]
 pub fn advice(a: &Assessment) -> String {
     let mut text = action::what_to_do(a);
@@ -131,13 +131,14 @@ pub fn advice(a: &Assessment) -> String {
     text
 }
 
-/// The bump test of a valve that sticks, a step an item; empty where none is proposed, which [`advice`] says.
+/// The bump test of a valve that sticks, one step per item; empty if none is proposed, in which case [`advice`] gives the
+/// reason.
 #[must_use]
 pub fn bump_test(a: &Assessment) -> Vec<String> {
     Action::of(a).map_or_else(Vec::new, |action| action.steps(op_unit(a)))
 }
 
-/// The bump test as one text, a numbered step a line; `None` where none is proposed.
+/// The bump test as one text, one numbered step per line; `None` if none is proposed.
 #[must_use]
 pub fn proposal(a: &Assessment) -> Option<String> {
     let steps = bump_test(a);
@@ -145,7 +146,7 @@ pub fn proposal(a: &Assessment) -> Option<String> {
     (!steps.is_empty()).then(|| numbered.collect::<Vec<_>>().join("\n"))
 }
 
-/// The probability as it is shown: `not seen` or `open` below the decision threshold, with the figure behind it.
+/// The probability as displayed: `not seen` or `open` below the decision threshold, followed by the number.
 #[must_use]
 pub fn seen(a: &Assessment) -> String {
     let Some(p) = a.p_stiction.map(probability) else {
@@ -165,7 +166,7 @@ pub fn op_unit(a: &Assessment) -> &str {
     a.op_unit.as_deref().unwrap_or("OP units")
 }
 
-/// How sure the verdict is, in a sentence.
+/// How certain the verdict is, in a sentence.
 #[must_use]
 pub fn sureness(a: &Assessment) -> String {
     let why = || a.reason.map_or_else(|| "a validity check fails".to_owned(), reason);
@@ -193,13 +194,13 @@ pub fn sureness(a: &Assessment) -> String {
     }
 }
 
-/// What the probability assumes.
+/// The prevalence that the probability assumes.
 #[must_use]
 pub fn assumed(a: &Assessment) -> String {
     format!("assuming that {} % of such loops stick", number(100.0 * a.prevalence))
 }
 
-/// The calibrated probability against the threshold that it does not reach.
+/// The calibrated probability and the threshold that it does not reach.
 fn below(a: &Assessment) -> String {
     let threshold = a.p_calibrated.zip(a.explanation.map(|e| e.cuts.called));
     threshold.map_or_else(String::new, |(p, called)| {
@@ -211,7 +212,7 @@ fn grade(a: &Assessment) -> String {
     answer::grade(a).map_or_else(|| "not graded".to_owned(), |grade| format!("grade {}", graded(a, grade)))
 }
 
-/// A grade, and what keeps it below A.
+/// A grade, with the reason if it is below A.
 #[must_use]
 pub fn graded(a: &Assessment, grade: char) -> String {
     match reservation(a) {
@@ -220,7 +221,7 @@ pub fn graded(a: &Assessment, grade: char) -> String {
     }
 }
 
-/// A reason for no answer, or for nothing beside it, in words; a gate's are the gate's.
+/// A reason for no answer, or for a verdict without numbers, in words; gates use [`gate`].
 #[must_use]
 pub fn reason(name: &str) -> String {
     let known = match name {
@@ -244,7 +245,7 @@ pub fn reason(name: &str) -> String {
     Gate::ALL.into_iter().find(|g| g.name() == name).map_or_else(|| name.replace('_', " "), |g| gate(g).to_owned())
 }
 
-/// What is implausible in a model or its record.
+/// An implausible property of a model or its record, in words.
 #[must_use]
 pub const fn implausible(what: Implausible) -> &'static str {
     match what {
@@ -258,22 +259,22 @@ pub const fn implausible(what: Implausible) -> &'static str {
     }
 }
 
-/// Why no size and no model are given, where the model is implausible.
+/// Why neither size nor model are given, if the model is implausible.
 #[must_use]
 pub fn disbelief(a: &Assessment) -> Option<String> {
     let said: Vec<&str> = a.implausible.iter().map(|what| implausible(*what)).collect();
     (!said.is_empty()).then(|| format!("no size and no process model are given: {}", said.join("; ")))
 }
 
-/// How large the stiction is against the valve's travel, where OP's range is known. Without it at most moderate: a share of
-/// OP's swing says how quiet the loop is as much as how large the band is.
+/// Class of s relative to the valve's travel, if OP's range is known. Otherwise "moderate" at most: a share of OP's span
+/// depends on how quiet the loop is as much as on the band.
 #[must_use]
 pub fn size_class(a: &Assessment) -> Option<Size> {
     a.severity_by_range.or_else(|| a.strength_by_span.map(|size| size.min(Size::Moderate)))
 }
 
-/// The size, in % of travel where OP's range is known, else in OP units; with a lower bound where the estimate reaches its
-/// own bound; none where no stiction was found.
+/// The size, in % of travel if OP's range is known, else in OP units; as a lower bound if the estimate is at its own limit;
+/// `None` if no stiction was found.
 #[must_use]
 pub fn size(a: &Assessment) -> Option<String> {
     let s = a.s.filter(|_| a.stiction != Some(false))?;
@@ -292,7 +293,7 @@ pub fn size(a: &Assessment) -> Option<String> {
         });
         format!("{}{}", scale.told(s), interval.unwrap_or_default())
     };
-    // Where slip and play look alike fs and fd are not known apart.
+    // If slip and play look alike, fs and fd are not identified separately.
     if let (Some(fs), Some(fd), Some(true)) = (a.fs, a.fd, a.j_identifiable) {
         let [fs, fd] = [fs, fd].map(|band| people::size(scale.value(band)));
         text = format!("{text}; static band {fs}, kinetic band {fd} {}", scale.unit());
@@ -305,7 +306,7 @@ pub fn size(a: &Assessment) -> Option<String> {
     Some(text)
 }
 
-/// What is said of an indicator without words of its own.
+/// The text for an indicator without its own.
 const UNNAMED: &str = "a sign in the record";
 
 /// What an indicator measures.
@@ -329,7 +330,7 @@ pub fn looks_at(name: &str) -> &'static str {
 /// Stiction index from which a model with friction explains PV clearly better than one without.
 const EXPLAINS: f64 = 0.5;
 
-/// What an indicator found, as a fact: where it points to sticking, and where it points away. `index` is the stiction index.
+/// The finding of an indicator, as a fact: for stiction, and against it. `index` is the stiction index.
 #[must_use]
 fn fact(name: &str, towards: bool, index: f64) -> &'static str {
     let [yes, no] = match name {
@@ -370,8 +371,8 @@ fn fact(name: &str, towards: bool, index: f64) -> &'static str {
     if towards { yes } else { no }
 }
 
-/// The evidence as facts, with its log-odds: first what speaks for the verdict, then what speaks against it, strongest
-/// first. Facts of a fit are left out where no fit is given.
+/// The evidence as facts with log-odds: first the facts that support the verdict, then those against it, strongest first. Facts
+/// of a fit are left out if no fit is reported.
 #[must_use]
 pub fn evidence(a: &Assessment) -> Vec<(String, f64)> {
     let given = |name: &str| a.process.is_some() || !OF_THE_FIT.contains(&name);
@@ -418,7 +419,7 @@ pub const fn gate(g: Gate) -> &'static str {
     }
 }
 
-/// What this record leaves open.
+/// Questions that this record leaves open.
 #[must_use]
 pub fn unknowns(a: &Assessment) -> Vec<String> {
     let mut out: Vec<String> = a.gates.iter().map(|g| format!("{} ({})", gate(*g), g.name())).collect();
@@ -430,7 +431,7 @@ pub fn unknowns(a: &Assessment) -> Vec<String> {
     } else if let Some(why) = disbelief(a) {
         out.push(why);
     } else if a.reason == Some(NO_VALVE) {
-        // There is no valve whose size would be open.
+        // The final element is no valve, so no size is missing.
     } else if a.s.is_none() {
         out.push("the size: no model was fitted".to_owned());
     } else if a.j_identifiable == Some(false) {
