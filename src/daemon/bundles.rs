@@ -1,7 +1,7 @@
-//! Payloads that hold several signals: which of their values are which signals of which loops.
+//! Payloads that hold several signals: assigns each of their values to a loop and a signal.
 //!
-//! `KEY#NAME` in `[[loop]]` says it; where loops are discovered, the ends of the names do, as in exports. Which of several
-//! sources feeds a signal is decided by [`super::feeds`].
+//! `KEY#NAME` in `[[loop]]` assigns them; where loops are discovered, the endings of the names do, as in exports. Where several
+//! sources could feed a signal, [`super::feeds`] chooses.
 
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
@@ -16,32 +16,33 @@ use stiction_engine::config::{Config, NAME_MARK};
 use stiction_engine::short_hash;
 use stiction_files::export::names::role;
 
-/// Most keys that are known to carry signals, and their bytes; more still do, without a share of the queue of their own.
+/// Limits on the remembered keys that carry signals: their number and total bytes. Further keys are read too, but get no
+/// separate share of the queue.
 const MAX_KEYS: usize = 100_000;
 const MAX_KEY_BYTES: usize = 16 << 20;
-/// Longest key of a bundle and longest name in one that mean a signal, bytes.
+/// Longest key of a bundle, and longest name in one, that can be assigned to a signal, bytes.
 const MAX_NAME_BYTES: usize = 512;
-/// Longest text that names a source, bytes; of longer ones only a hash is kept.
+/// Longest text that names a source, bytes; a longer one is kept only as a hash.
 const MAX_SOURCE_BYTES: usize = 256;
 
-/// The first chunk of a key of Sparkplug B.
+/// First chunk of a Sparkplug B key.
 const SPARKPLUG: &str = "spBv1.0/";
 
-/// A value that means a signal.
+/// A value that was assigned to a signal.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Meant {
     /// The loop.
     pub loop_name: String,
     /// The value as a sample of its signal.
     pub sample: Sample,
-    /// Key and name that it came under.
+    /// Key and name under which it arrived.
     pub source: String,
 }
 
-/// Loops and signals by key, then by the name in a payload.
+/// Loop and signal by key, then by the name in the payload.
 type Mapped = HashMap<String, HashMap<String, (String, Signal)>>;
 
-/// The names in payloads that a configuration maps.
+/// The names in payloads that the configuration maps.
 fn mapped(config: &Config) -> Mapped {
     let mut mapped = Mapped::new();
     for one in &config.loops {
@@ -54,7 +55,7 @@ fn mapped(config: &Config) -> Mapped {
     mapped
 }
 
-/// Bundles by the keys that carry them.
+/// Assigns the values of bundles to signals.
 #[derive(Debug)]
 pub struct Bundles {
     prefix: String,
@@ -67,7 +68,7 @@ pub struct Bundles {
 }
 
 impl Bundles {
-    /// What a configuration says of bundles.
+    /// Reads which keys carry bundles, and which names are mapped.
     #[must_use]
     pub fn new(config: &Config) -> Self {
         let keys = config.bundles.iter().filter_map(|b| Some((KeyExpr::new(b.key.clone()).ok()?, b.codec.clone())));
@@ -82,13 +83,13 @@ impl Bundles {
         }
     }
 
-    /// Takes over which names are mapped; what payloads said so far stays known.
+    /// Adopts new mappings; what was learnt from payloads is kept.
     pub fn reconfigure(&mut self, config: &Config) {
         self.mapped = mapped(config);
     }
 
-    /// The codec of a key whose payloads are bundles. A key below the prefix that means a signal by itself is none, unless
-    /// names of its payloads are mapped.
+    /// The codec of a key whose payloads are bundles. A key below the prefix that names a signal by itself carries no bundle,
+    /// unless names in its payloads are mapped.
     #[must_use]
     pub fn codec_of(&self, key: &str) -> Option<&str> {
         if self.keys.is_empty() && self.mapped.is_empty() {
@@ -105,7 +106,7 @@ impl Bundles {
         if key.len() > MAX_NAME_BYTES || raw() { None } else { matching() }
     }
 
-    /// The signals in a payload, the codec that read them, and how many values mean none.
+    /// The signals in a payload, the codec that read them, and the number of values that belong to no signal.
     ///
     /// # Errors
     /// The payload cannot be read.
@@ -119,7 +120,7 @@ impl Bundles {
         let name = decode_fields(bundle, encoding, Some(codec), &mut self.memory, &mut fields)?;
         let ranked: Vec<Option<(String, Signal, usize)>> =
             fields.iter().map(|field| self.meaning(bundle.key, field)).collect();
-        // Of several names of one signal in a payload the strongest counts: OP is one, OUT may be another.
+        // If several names in a payload mean the same signal, the one with the best rank is used: OP before OUT.
         let mut best: HashMap<(&str, Signal), usize> = HashMap::new();
         for (loop_name, signal, rank) in ranked.iter().flatten() {
             let least = best.entry((loop_name, *signal)).or_insert(*rank);
@@ -137,7 +138,7 @@ impl Bundles {
         Ok((meant, name, left))
     }
 
-    /// Loop, signal and rank of a value: as mapped, else by its name.
+    /// Loop, signal and rank of a value, from the mapping if there is one, else from its name.
     fn meaning(&self, key: &str, field: &Field) -> Option<(String, Signal, usize)> {
         if field.name.len() > MAX_NAME_BYTES {
             return None;
@@ -162,7 +163,7 @@ impl Bundles {
         Some((loop_name, found.signal, found.rank + 1))
     }
 
-    /// Whether a key is found to carry signals for the first time.
+    /// Whether this is the first time that the key is seen to carry signals.
     pub fn is_new_carrier(&mut self, key: &str) -> bool {
         let is_new = !self.carriers.contains(key)
             && self.carriers.len() < MAX_KEYS
@@ -172,13 +173,13 @@ impl Bundles {
         is_new
     }
 
-    /// Names of births that were not kept since this was asked last.
+    /// Number of names in birth messages that were not kept since the last call.
     pub fn take_names_lost(&mut self) -> u64 {
         self.memory.take_lost()
     }
 }
 
-/// Sender and name of a value, as [`super::feeds`] keeps them of every signal.
+/// Sender and name of a value, in the form that [`super::feeds`] keeps.
 fn source_of(sender: &str, name: &str) -> String {
     if sender.len() + name.len() < MAX_SOURCE_BYTES {
         return format!("{sender}{NAME_MARK}{name}");
@@ -186,7 +187,7 @@ fn source_of(sender: &str, name: &str) -> String {
     format!("{}{NAME_MARK}{}", short_hash(sender.as_bytes()), short_hash(name.as_bytes()))
 }
 
-/// Who sends under a key. Sparkplug B has the kind of message in it, which says nothing of the sender.
+/// The sender of a key. A Sparkplug B key contains the message type, which does not identify the sender.
 fn sender_of(key: &str) -> Cow<'_, str> {
     let sparkplug = || {
         let (head, rest) = key.split_once(SPARKPLUG)?;

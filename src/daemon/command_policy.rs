@@ -1,4 +1,4 @@
-//! Who may ask the daemon for something, and how often.
+//! Who may send commands and ask for diagnoses, and how often.
 
 use std::time::Duration;
 
@@ -6,12 +6,12 @@ use crate::runtime::queue::{Rate, logged_rate};
 use stiction_engine::alarm::{Command, check_name};
 use stiction_engine::config::Commands;
 
-/// Share of a minute's commands that may come at once.
+/// Fraction of a minute's commands that may come in one burst.
 const COMMANDS_AT_ONCE: f64 = 0.5;
-/// Diagnoses that may be asked for at once, at most.
+/// Most diagnoses that may be requested in one burst.
 const RUNS_AT_ONCE: f64 = 8.0;
 
-/// The rules for what people ask.
+/// The rules for commands and requests.
 #[derive(Debug)]
 pub struct CommandPolicy {
     settings: Commands,
@@ -21,7 +21,7 @@ pub struct CommandPolicy {
 }
 
 impl CommandPolicy {
-    /// The rules under these settings.
+    /// Rules from the configuration.
     #[must_use]
     pub fn new(settings: &Commands) -> Self {
         let (per_minute, per_hour) = (f64::from(settings.per_minute), f64::from(settings.runs_per_hour));
@@ -37,13 +37,13 @@ impl CommandPolicy {
         if self.settings.enabled { Ok(()) } else { Err("commands are switched off: [commands] enabled = false".into()) }
     }
 
-    /// Whether a command on an alarm may be taken at all.
+    /// Whether a command on an alarm is allowed at all, whatever the rate.
     pub fn check(&self, command: &Command) -> Result<(), String> {
         self.open()?;
         command.check().map_err(|e| e.to_string())
     }
 
-    /// Whether one more may be taken now.
+    /// Whether the rate allows one more command now.
     pub fn command(&mut self, now: Duration) -> Result<(), String> {
         if self.commands.allow(now.as_secs_f64()) {
             return Ok(());
@@ -51,13 +51,13 @@ impl CommandPolicy {
         Err(format!("more than {} commands a minute: try again later", self.settings.per_minute))
     }
 
-    /// Whether this name may ask at all.
+    /// Whether a person of this name may send requests.
     pub fn name(&self, by: Option<&str>) -> Result<(), String> {
         self.open()?;
         check_name(by).map_err(|e| e.to_string())
     }
 
-    /// Whether a diagnosis may be begun now.
+    /// Whether the rate allows a diagnosis now.
     pub fn run(&mut self, now: Duration) -> Result<(), String> {
         if self.runs.allow(now.as_secs_f64()) {
             return Ok(());
@@ -65,7 +65,7 @@ impl CommandPolicy {
         Err(format!("more than {} diagnoses an hour: try again later", self.settings.runs_per_hour))
     }
 
-    /// Logs a refusal, but not all of a flood. What others sent is logged escaped.
+    /// Logs a refusal, at a limited rate. Text from outside is escaped.
     pub fn log_refusal(&mut self, now: Duration, what: &str, loop_name: &str, by: Option<&str>, why: &str) {
         if self.logged.allow(now.as_secs_f64()) {
             let short = |text: &str| text.chars().take(64).collect::<String>();

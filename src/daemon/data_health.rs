@@ -1,8 +1,8 @@
-//! Follows the share of loops that can be judged, and sends a summary of it, in a thread of its own: it looks at all loops,
-//! and the engine does not wait for that.
+//! Tracks how many loops can be judged and sends summaries of it. This runs on a separate thread: it visits all loops, and the
+//! engine must not wait for that.
 //!
-//! A summary is due at whole multiples of its interval, so a restart sends none twice; one that came due while the daemon did
-//! not run follows once the loops have had time for a window.
+//! A summary is due at whole multiples of its interval, so a restart sends none twice. One that came due while the daemon was
+//! down follows once the loops have had time to fill a window.
 
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -21,10 +21,10 @@ use stiction::core::units::{ns_from_ms, ns_from_s, s_from_ns};
 use stiction_engine::codec::topic::{self, Kind};
 use stiction_engine::config::{Config, Summary};
 
-/// Points of the trend from one summary to the next, and their interval, s, at most.
+/// Trend points between two summaries, and the longest interval between points, s.
 const POINTS: f64 = 24.0;
 const POINT_EVERY_S: f64 = 3600.0;
-/// Pause between two looks, s, at most.
+/// Longest pause between two rounds, s.
 const LOOK_EVERY_S: f64 = 60.0;
 
 /// Inputs of the worker.
@@ -33,11 +33,11 @@ pub(super) struct DataHealthParts {
     pub config: CurrentConfig,
     /// The loops.
     pub overview: Overview,
-    /// The way to the bus.
+    /// Sends to the bus.
     pub publisher: Publisher,
-    /// The way to receivers; none where there are none.
+    /// Sends to receivers outside the bus; `None` if none is configured.
     pub outbox: Option<Outbox>,
-    /// Where the trend is kept; none in a demonstration.
+    /// Stores the trend; `None` in a demonstration.
     pub notes: Option<Notes>,
     /// The daemon's id.
     pub daemon_id: String,
@@ -45,7 +45,7 @@ pub(super) struct DataHealthParts {
     pub clock: Clock,
 }
 
-/// The worker without its thread: a test calls [`Self::turn`] itself.
+/// The worker without its thread, so that a test can call [`Self::turn`] directly.
 pub(super) struct DataHealthWorker {
     parts: DataHealthParts,
     started: Instant,
@@ -71,7 +71,7 @@ fn point_every_s(summary: &Summary) -> f64 {
     if summary.every_s > 0.0 { (summary.every_s / POINTS).min(POINT_EVERY_S) } else { POINT_EVERY_S }
 }
 
-/// Which multiple of an interval after an offset a time lies in.
+/// Index of the interval that contains a time, counted from the offset.
 fn number(at_ns: i64, offset_s: f64, every_s: f64) -> i64 {
     at_ns.saturating_sub(ns_from_s(offset_s)).div_euclid(ns_from_s(every_s).max(1))
 }
@@ -88,13 +88,13 @@ impl DataHealthWorker {
         Duration::from_secs_f64((every_s / 2.0).min(LOOK_EVERY_S))
     }
 
-    /// Looks at all loops once: adds a point to the trend, sends a summary that is due, and keeps what a restart needs.
+    /// Visits all loops once: adds a point to the trend, sends a summary if one is due, and stores what a restart needs.
     pub fn turn(&mut self) {
         let config = self.parts.config.get();
         let (now, now_ns) = (self.parts.clock.now(), self.parts.clock.now_ns());
         let every_s = point_every_s(&config.summary);
         let survey = self.parts.overview.survey(now);
-        // Until then most loops have no window.
+        // Before that, most loops have no full window.
         if self.parts.clock.since(self.started).as_secs_f64() >= every_s {
             let found = &survey.found;
             let newest_ms = found.trend.last().map(|point| point.t_ms);
@@ -120,7 +120,8 @@ impl DataHealthWorker {
             return;
         }
         let due = number(now_ns, summary.at_s(), summary.every_s);
-        // A clock that was set back a little repeats none, and one that was far ahead for a while stops none.
+        // So a clock set back by up to one interval repeats no summary, and one that was far ahead for a while does not stop
+        // later ones.
         if self.sent.is_some_and(|sent| (due..=due.saturating_add(1)).contains(&sent)) {
             return;
         }

@@ -1,7 +1,7 @@
-//! JSON Schema 2020-12 of the published documents, made from their types.
+//! JSON Schema 2020-12 of the published documents, derived from their types.
 //!
-//! A document may hold more than its schema says, never less: fields are added within a version, and none is taken away,
-//! renamed or given another meaning or unit without a new one. A number that does not exist is null.
+//! A document may hold more fields than its schema names, never fewer. Within a version fields are only added; removing or
+//! renaming one, or changing its meaning or unit, needs a new version. A number without a value is null.
 
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, Schema};
@@ -15,12 +15,12 @@ use stiction::core::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
 use stiction_engine::alarm::{ALARM_SCHEMA, AlarmDocument};
 use stiction_engine::codec::topic::{DAEMON_HEALTH_SCHEMA, DATA_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 
-/// The schema of a type, as it is written.
+/// The schema of a type as it is serialized.
 fn written<T: JsonSchema>() -> Schema {
     SchemaSettings::draft2020_12().for_serialize().into_generator().into_root_schema_for::<T>()
 }
 
-/// The same under a document's name, which the document carries.
+/// The same, under the name that the document carries.
 fn document<T: JsonSchema>(name: &str) -> Value {
     let mut schema = written::<T>().to_value();
     schema["$id"] = json!(format!("urn:stictiond:{name}"));
@@ -43,7 +43,7 @@ pub fn schemas() -> Vec<(&'static str, Value)> {
     ]
 }
 
-/// The schema of one document, as in `docs/schemas`.
+/// The schema of one document, formatted as in `docs/schemas`.
 #[must_use]
 pub fn text(schema: &Value) -> String {
     serde_json::to_string_pretty(schema).unwrap_or_default() + "\n"

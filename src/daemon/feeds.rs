@@ -1,12 +1,12 @@
-//! Which source feeds a signal, where several could: gateways that stand in for each other, or a name that is given twice.
+//! Chooses the source of a signal where there are several: redundant gateways, or a name that occurs twice.
 //!
-//! A signal is taken from the source that brought it first. Another source is ignored and counted while the first is heard,
-//! and takes over once the first has been silent for [`INTERVALS`] of the signal's usual intervals, by the stamps of the
-//! source that waits: so the clocks of two gateways may differ, and history is taken as it was. It keeps the signal until
-//! it is silent itself. Signals of the same loop that came from the same gateway go over at once, however rarely they come.
-//! Another name from the same gateway never takes over: OP and OUT of one controller may differ.
+//! A signal is taken from the source that brought it first. Another source is ignored and counted while the first is heard, and
+//! takes over once the first has been silent for [`INTERVALS`] of the signal's usual intervals, measured by the stamps of the
+//! waiting source; so the clocks of two gateways may differ, and played history is taken as it was. It then keeps the signal
+//! until it falls silent. The loop's other signals from the same gateway change over at the same time, however rarely they
+//! come. Another name from the same gateway never takes over: OP and OUT of one controller may differ.
 //!
-//! Only stamps and the order of messages decide, no clock: what is taken is recorded, so a replay needs no rule.
+//! Only stamps and the order of messages decide, not the clock. What is taken is recorded, so replay needs no such rule.
 
 use std::collections::{HashMap, HashSet};
 
@@ -16,70 +16,70 @@ use stiction_engine::engine::LoopId;
 
 /// Usual intervals without the source after which another takes over.
 const INTERVALS: f64 = 5.0;
-/// Least time of that, ns: two gateways never send at the very same moment.
+/// The shortest such silence, ns: two gateways never send at exactly the same moment.
 const LEAST_NS: f64 = 2e9;
-/// The same where the signal came only once, so that it has no interval yet.
+/// The silence required if the signal came only once, so that its interval is unknown, ns.
 const UNKNOWN_NS: f64 = 60e9;
-/// Messages that the other must have sent meanwhile.
+/// Messages that the waiting source must have sent meanwhile.
 const MESSAGES: u32 = 3;
-/// Times that both sources are heard in turn before that is a fault: at a change they may cross.
+/// Alternations between the two sources that count as a fault: around a change-over their messages may cross.
 const IN_TURN: u8 = 3;
-/// Usual intervals after which such times are forgotten.
+/// Usual intervals after which the alternations are forgotten.
 const FORGOTTEN: f64 = 1000.0;
-/// Weight of a new interval in the usual one: one part in this many.
+/// A new interval enters the usual one with a weight of one over this.
 const FOLLOW: f64 = 8.0;
-/// Longer intervals count as this many usual ones: a night without data is no new pace.
+/// Longest interval that is averaged, in usual intervals: a night without data does not change the pace.
 const LONGEST: f64 = 4.0;
-/// Messages of a third source after which it waits in place of a second one that is silent.
+/// Messages of a third source after which it replaces a waiting source that has fallen silent.
 const QUEUED: u32 = 20;
 
-/// What becomes of a value.
+/// What happens to a value.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Feed {
     /// It is taken.
     Taken,
     /// It is taken; the source that fed the signal before is silent.
     TakenOver {
-        /// That source.
+        /// The previous source.
         from: Box<str>,
     },
-    /// It is taken, and another source sends the same signal all the while.
+    /// It is taken, while another source keeps sending the same signal.
     Contested {
-        /// That source.
+        /// The other source.
         other: Box<str>,
     },
     /// It is ignored: another source feeds the signal.
     Ignored,
 }
 
-/// A source that waits.
+/// A source waiting to take over.
 #[derive(Debug)]
 struct Waiting {
     source: Box<str>,
-    /// Its last message.
+    /// Number of its last message.
     message: u64,
-    /// Stamp of its first message since the signal's source was heard, ns.
+    /// Stamp of its first message since the owner was last heard, ns.
     since_ns: i64,
     messages: u32,
-    /// Messages of third sources since its own last one.
+    /// Messages of third sources since its last one.
     passed: u32,
 }
 
 #[derive(Debug)]
 struct Owner {
     source: Box<str>,
-    /// Its last message, and the first stamp in it, ns.
+    /// Its last message, and the first stamp in that message, ns.
     message: u64,
     t_ns: i64,
-    /// Usual time between its messages, ns; 0 while it is not known.
+    /// Usual time between its messages, ns; 0 while unknown.
     interval_ns: f64,
     waiting: Option<Waiting>,
-    /// Times that both were heard in turn, and the stamp of the last one.
+    /// How often both sources were heard in turn, and the stamp of the last time.
     in_turn: u8,
     turn_ns: i64,
 }
 
-/// Sources by signal.
+/// The source of each signal.
 #[derive(Debug)]
 pub struct Feeds {
     /// Whether a signal can have several sources at all.
@@ -88,19 +88,19 @@ pub struct Feeds {
 }
 
 impl Feeds {
-    /// Without bundles and mapped keys each signal has one key, and nothing is remembered but of those that are watched.
+    /// Without bundles and mapped keys each signal has one key; then only watched signals are remembered.
     #[must_use]
     pub fn new(config: &Config) -> Self {
         Self { is_on: can_have_several(config), owners: HashMap::new() }
     }
 
-    /// Takes over which keys are mapped. The sources of these loops are others.
+    /// Adopts new mappings. The sources of remapped loops are forgotten.
     pub fn reconfigure(&mut self, config: &Config, remapped: &HashSet<LoopId>) {
         self.is_on = can_have_several(config);
         self.forget(remapped);
     }
 
-    /// A value of a signal came from a source in this message, stamped so.
+    /// A value of a signal, with its source, the number of its message and its stamp.
     pub fn feed(&mut self, (id, signal): (LoopId, Signal), source: &str, message: u64, t_ns: i64) -> Feed {
         if !self.is_on && !self.is_watched((id, signal)) {
             return Feed::Taken;
@@ -114,7 +114,7 @@ impl Feeds {
             return Feed::Ignored;
         }
         let from = std::mem::replace(owner, Owner::new(source, message, t_ns)).source;
-        // What comes rarely, such as the mode, cannot be told from what is silent: it goes along.
+        // A signal that comes rarely, such as the mode, cannot be seen to fall silent, so it changes over with the others.
         let gateway = gateway_of(&from);
         if gateway != gateway_of(source) {
             self.owners.retain(|(of, _), owner| *of != id || gateway_of(&owner.source) != gateway);
@@ -122,25 +122,25 @@ impl Feeds {
         Feed::TakenOver { from }
     }
 
-    /// Whether it is known what feeds a signal.
+    /// Whether the source of a signal is known.
     #[must_use]
     pub fn is_watched(&self, signal: (LoopId, Signal)) -> bool {
         !self.owners.is_empty() && self.owners.contains_key(&signal)
     }
 
-    /// From now on a signal is watched that this source feeds.
+    /// Watches a signal from now on, with this source as its owner.
     pub fn watch(&mut self, signal: (LoopId, Signal), source: &str, message: u64, t_ns: i64) {
         self.owners.entry(signal).or_insert_with(|| Owner::new(source, message, t_ns));
     }
 
-    /// Signals whose source it remembers.
+    /// Number of signals with a known source.
     #[cfg(test)]
     #[must_use]
     pub fn count(&self) -> usize {
         self.owners.len()
     }
 
-    /// Nothing feeds these loops any more.
+    /// Forgets the sources of these loops.
     pub fn forget(&mut self, gone: &HashSet<LoopId>) {
         self.owners.retain(|(id, _), _| !gone.contains(id));
     }
@@ -156,7 +156,7 @@ impl Owner {
         Self { source: source.into(), message, t_ns, interval_ns: 0.0, waiting: None, in_turn: 0, turn_ns: t_ns }
     }
 
-    /// The owner itself is heard.
+    /// A message from the owner.
     fn hear(&mut self, message: u64, t_ns: i64) -> Feed {
         if message == self.message {
             return Feed::Taken;
@@ -176,7 +176,7 @@ impl Owner {
         if self.in_turn < IN_TURN { Feed::Taken } else { Feed::Contested { other: waiting.source } }
     }
 
-    /// Another source is heard: whether the owner has been silent for so long that this one takes over.
+    /// A message from another source: whether the owner has been silent long enough for this one to take over.
     fn is_silent(&mut self, source: &str, message: u64, t_ns: i64) -> bool {
         let fresh = || Waiting { source: source.into(), message, since_ns: t_ns, messages: 1, passed: 0 };
         let waiting = self.waiting.get_or_insert_with(fresh);
@@ -192,7 +192,7 @@ impl Owner {
             waiting.message = message;
             waiting.messages += 1;
         }
-        // The same key in other letters is another gateway's: both mean the same signal.
+        // A key that differs only in upper and lower case comes from another gateway: both mean the same signal.
         if gateway_of(source) == gateway_of(&self.source) && !source.eq_ignore_ascii_case(&self.source) {
             return false;
         }
@@ -201,7 +201,7 @@ impl Owner {
     }
 }
 
-/// What falls silent as a whole: the key of a bundle, or a plain key without its last chunk.
+/// The part of a source that falls silent as a whole: the key of a bundle, or a plain key without its last chunk.
 fn gateway_of(source: &str) -> &str {
     let end = source.find(NAME_MARK).or_else(|| source.rfind('/'));
     end.map_or(source, |end| &source[..end])
@@ -245,7 +245,7 @@ mod tests {
         assert!(second[..5].iter().all(|f| *f == Feed::Ignored));
         assert_eq!(second[5], Feed::TakenOver { from: "gw/a#L.OP".into() });
         assert!(second[6..].iter().all(|f| *f == Feed::Taken));
-        // The first one comes back: the second keeps the signal while it is heard.
+        // The first one comes back: the second keeps the signal as long as it is heard.
         assert_eq!((one.op("gw/a", 1100), one.op("gw/b", 4680)), (Feed::Ignored, Feed::Taken));
         let back: Vec<Feed> = (0..6).map(|k| one.op("gw/a", 1110 + 10 * k)).collect();
         assert_eq!(back[5], Feed::TakenOver { from: "gw/b#L.OP".into() });
@@ -263,7 +263,7 @@ mod tests {
                 }
                 taken => assert_eq!(taken, Feed::Taken),
             }
-            // The other one sends batches of ten seconds.
+            // The other sends in batches of ten seconds.
             if k % 10 == 9 {
                 one.message += 1;
                 let (key, message) = ((one.id, Signal::Op), one.message);
@@ -283,7 +283,7 @@ mod tests {
             let heard: Vec<Feed> = (start..start + 900).map(|k| one.op(new, k)).collect();
             assert_eq!(heard.iter().filter(|f| matches!(f, Feed::TakenOver { .. })).count(), 1);
             assert!(!heard.iter().any(|f| matches!(f, Feed::Contested { .. })));
-            // A message of the old one was late.
+            // A late message from the old source.
             assert_eq!(one.op(old, start + 900), Feed::Ignored);
             assert_eq!(one.op(new, start + 901), Feed::Taken);
         }

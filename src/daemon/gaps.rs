@@ -1,8 +1,8 @@
-//! Gap diagnoses on one thread of the lowest priority, with a bounded queue; answers come by channel.
+//! Gap diagnoses on one thread of the lowest priority, with a bounded queue; answers come through a channel.
 //!
-//! The thread touches none of the estimates' workers. It begins, and between the rounds of its search goes on, only
-//! while no window waits for a worker; on Linux it is also the last that the system gives a core to. What waits too long
-//! is ended with what it knows, or skipped; the engine's thread records either as an input, which replay obeys.
+//! The thread does not use the workers of the estimates. It starts a search, and continues after each round, only while no
+//! window waits for a worker; on Linux it also has the lowest scheduling priority. A search that waits too long ends with its
+//! result so far, or is skipped; the engine's thread records either as an input, which replay follows.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -14,23 +14,23 @@ use crossbeam_channel::{Receiver, Sender};
 use stiction::core::gap::Executor;
 use stiction_engine::engine::{GapRequest, LoopId, PublishedGap, SkipReason};
 
-/// Requests that may wait; beyond that a person is refused and the daemon's own are skipped.
+/// Requests that may wait. Beyond that a person is refused, and the daemon's own requests are skipped.
 pub const QUEUE: usize = 64;
-/// Pause before it is looked again whether windows wait.
+/// Pause before the next check whether windows wait.
 const PAUSE: Duration = Duration::from_millis(50);
-/// Pauses of one diagnosis, all together, after which it is ended: a quarter of an hour.
+/// Pauses in one diagnosis, in total, after which it is ended: a quarter of an hour.
 const PATIENCE: u32 = 18_000;
 
-/// What came of a request.
+/// Outcome of a request.
 #[derive(Debug)]
 pub enum Outcome {
-    /// A document; the evaluations at which its search was ended early, if it was.
+    /// A document, and the number of evaluations after which the search was ended early, if it was.
     Done(Box<PublishedGap>, Option<u64>),
-    /// None: why, and in words.
+    /// No document: the reason, and its text.
     Skipped(SkipReason, String),
 }
 
-/// An answer on its way back.
+/// A finished request.
 #[derive(Debug)]
 pub struct Diagnosed {
     /// The loop.
@@ -41,7 +41,7 @@ pub struct Diagnosed {
     pub outcome: Outcome,
 }
 
-/// The thread's ends. It ends when this is gone, at the next pause in its search.
+/// The caller's ends of the channels. The thread ends at the next pause of its search after this is dropped.
 pub struct Diagnoser {
     /// Requests go in here.
     pub requests: Sender<GapRequest>,
@@ -78,7 +78,7 @@ impl Diagnoser {
         Ok(diagnoser)
     }
 
-    /// This end, and the two that a thread would hold: where requests come out and answers go in.
+    /// This end, and the two ends that the thread would hold: the receiver of requests and the sender of answers.
     #[must_use]
     pub fn ends() -> (Self, Receiver<GapRequest>, Sender<Diagnosed>) {
         let (requests, jobs) = crossbeam_channel::bounded::<GapRequest>(QUEUE);
@@ -87,7 +87,7 @@ impl Diagnoser {
     }
 }
 
-/// Puts this thread behind all others of the system; without Linux it stays where it is.
+/// Gives this thread the lowest priority of the system, on Linux only.
 pub(super) fn yield_to_all() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::setpriority_process(Some(rustix::thread::gettid()), 19) {
@@ -106,7 +106,7 @@ fn diagnose(request: &GapRequest, gate: &Gate<'_>) -> Outcome {
     }
 }
 
-/// Lets a search through while nothing more urgent waits. One thread; results do not hang on how often it waited.
+/// Lets a search continue while nothing more urgent waits. It has one thread, and results do not depend on how often it waited.
 pub struct Gate<'a> {
     busy: &'a (dyn Fn() -> bool + Sync),
     pause: Box<dyn Fn() + Sync + 'a>,
@@ -116,7 +116,7 @@ pub struct Gate<'a> {
 }
 
 impl<'a> Gate<'a> {
-    /// A gate that waits by `pause`, at most `patience` times, while `busy` says so.
+    /// A gate that calls `pause` while `busy` is true, at most `patience` times.
     pub fn new(
         busy: &'a (dyn Fn() -> bool + Sync),
         pause: impl Fn() + Sync + 'a,
@@ -126,7 +126,7 @@ impl<'a> Gate<'a> {
         Self { busy, pause: Box::new(pause), stop, patience: patience.into(), cut: Mutex::new(None) }
     }
 
-    /// Waits until nothing more urgent waits; false where that takes too long or the daemon stops.
+    /// Waits until nothing more urgent waits; false if that takes too long or the daemon stops.
     fn open(&self) -> bool {
         while !self.stop.load(Ordering::Relaxed) {
             if !(self.busy)() {
@@ -142,7 +142,7 @@ impl<'a> Gate<'a> {
         false
     }
 
-    /// The evaluations at which it ended the search, if it did.
+    /// The evaluations after which it ended the search, if it did.
     fn cut(&self) -> Option<u64> {
         *self.cut.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -162,7 +162,7 @@ impl Executor for Gate<'_> {
     }
 }
 
-/// Ends a search after as many evaluations as its live run had; else never.
+/// Ends a search after the given number of evaluations, as the live run did; `None` never ends it.
 #[derive(Debug, Clone, Copy)]
 pub struct Until(pub Option<u64>);
 

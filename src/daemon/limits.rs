@@ -1,7 +1,7 @@
-//! What one publisher may take from all: samples a second of a key, stamps ahead of the others, new loops an hour.
+//! Limits on what one publisher may use: samples a second per key, stamps ahead of the others, new loops an hour.
 //!
-//! They come before the recorder: the engine never sees what is refused here, so replay need not know of it.
-//! Whatever is refused is counted, and named among the faults while it lasts.
+//! They apply before the recorder: the engine never sees what is refused here, so replay need not know of it. Everything
+//! refused is counted, and is a fault while it lasts.
 
 use std::time::Duration;
 
@@ -11,16 +11,16 @@ use stiction::core::units::ns_from_s;
 use stiction_engine::config::Input;
 use stiction_engine::engine::LoopId;
 
-/// Seconds of the rate that may come at once: by default a million samples, or eleven days at one a second, played as
-/// fast as they can be.
+/// Seconds of the rate that may come in one burst: by default a million samples, or eleven days at one a second, played at full
+/// speed.
 const BURST_S: f64 = 1000.0;
-/// Looks at the other loops' stamps cost this share of the loops in samples before the next one.
+/// After a look at all loops' stamps the next one waits for this fraction of the loops in samples: one over this number.
 const LOOK_AGAIN: usize = 8;
 
 /// Why a sample was refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refused {
-    /// Its key sends too many.
+    /// Its key exceeds the rate.
     OverRate,
     /// Its stamp is too far ahead.
     Ahead,
@@ -34,7 +34,7 @@ pub struct Limits {
     new_loops: Rate,
     /// By loop, then by signal.
     rates: Vec<Option<Box<[Rate; Signal::ALL.len()]>>>,
-    /// Where the other loops were when it was looked last, and samples until it may be looked again.
+    /// Median stamp of all loops at the last look, and samples until the next look.
     others_ns: Option<i64>,
     look_in: usize,
 }
@@ -54,29 +54,29 @@ impl Limits {
         }
     }
 
-    /// Whether a loop that nobody named may appear now.
+    /// Whether a loop that is not configured may appear now.
     pub fn new_loop(&mut self, now: Duration) -> bool {
         self.new_loops.allow(now.as_secs_f64())
     }
 
-    /// Loops whose rates it holds.
+    /// Number of loops with rates.
     #[cfg(test)]
     #[must_use]
     pub fn count(&self) -> usize {
         self.rates.iter().flatten().count()
     }
 
-    /// A loop has left the memory.
+    /// Forgets a loop.
     pub fn forget(&mut self, id: LoopId) {
         if let Some(rates) = self.rates.get_mut(id.index()) {
             *rates = None;
         }
     }
 
-    /// Whether a sample may be taken. `greatest` gives every loop's greatest stamp; it is asked seldom.
+    /// Whether a sample may be taken. `greatest` gives every loop's greatest stamp; it is called rarely.
     ///
     /// # Errors
-    /// Why not.
+    /// The limit that it exceeds.
     pub fn sample(
         &mut self,
         (id, sample, arrival_ns): (LoopId, &Sample, i64),
@@ -100,8 +100,8 @@ impl Limits {
         Ok(())
     }
 
-    /// Whether a stamp is too far ahead of the wall clock and of the middle one of all loops. Either alone may be wrong:
-    /// the wall clock after a reset, all the loops in a simulated plant. A single loop has nobody to be ahead of.
+    /// Whether a stamp is too far ahead of both the wall clock and the median of all loops. Either alone may be wrong: the wall
+    /// clock after a reset, the loops in a simulated plant. A single loop has no others to compare with.
     fn is_ahead(&mut self, t_ns: i64, arrival_ns: i64, greatest: impl FnOnce() -> Vec<i64>) -> bool {
         let beyond = |of_ns: i64| t_ns > of_ns.saturating_add(self.max_ahead_ns);
         self.look_in = self.look_in.saturating_sub(1);
@@ -166,7 +166,7 @@ mod tests {
         assert!(taken(-900 * DAY_NS, DAY_NS, &[DAY_NS; 3]), "history");
         // The daemon's clock is ten years behind, or the plant is a simulation that runs ahead.
         assert!(taken(3650 * DAY_NS, 0, &[3650 * DAY_NS; 3]));
-        // One loop that got there first does not take the others along, nor does it stop them.
+        // One loop that runs ahead neither takes the others along nor stops them.
         assert!(!taken(3650 * DAY_NS, 0, &[0, 0, 3650 * DAY_NS]));
         assert!(taken(0, 0, &[3650 * DAY_NS; 3]));
     }

@@ -1,4 +1,4 @@
-//! The whole daemon: what runs where, and which queue lies between.
+//! The whole daemon: the threads, and the queues between them.
 //!
 //! ```text
 //! Zenoh callbacks --(input, drops + counts)--> engine thread --(schedule, in turn; skips + records)--> workers
@@ -75,33 +75,33 @@ use crate::runtime::view::Serve;
 use stiction_engine::codec::topic;
 use stiction_engine::config::Config;
 
-/// How often the health documents are made, unless a test asks for less.
+/// How often the health documents are written, unless a test asks for less.
 pub const HEALTH_EVERY: Duration = Duration::from_secs(5);
 
-/// What a run is given besides its configuration.
+/// Settings of a run besides its configuration.
 #[derive(Debug, Clone)]
 pub struct RunOptions {
-    /// What makes the recordings: `run` or `demo`.
+    /// Command that writes the recordings: `run` or `demo`.
     pub origin: &'static str,
-    /// Workers for fits; all cores but one if absent.
+    /// Number of workers for fits; all cores but one if absent.
     pub workers: Option<usize>,
-    /// The configuration's file, to be read again on a reload.
+    /// The configuration file, which a reload reads again.
     pub config_file: Option<ConfigFile>,
-    /// How often the health documents are made.
+    /// How often the health documents are written.
     pub health_every: Duration,
-    /// What serves the page, the metrics and the health.
+    /// Serves the page, the metrics and the health.
     pub serve: Serve,
 }
 
 impl RunOptions {
-    /// Of a run of this origin, with the usual settings.
+    /// The usual settings for a run of this origin.
     #[must_use]
     pub const fn of(origin: &'static str, serve: Serve) -> Self {
         Self { origin, workers: None, config_file: None, health_every: HEALTH_EVERY, serve }
     }
 }
 
-/// Runs the daemon until `stop` is ready, then ends in order.
+/// Runs the daemon until `stop` is ready, then shuts down in order.
 ///
 /// # Errors
 /// Zenoh cannot start (a setting is refused), or the system refuses a thread.
@@ -190,7 +190,7 @@ pub async fn run(
         let _ = queryable.undeclare().await;
     }
     (server.stop)();
-    // Closing may hang when the network loses packets.
+    // Closing may hang if the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
     ended
 }
@@ -225,9 +225,9 @@ async fn answer_queries(
     queries.answer(session, daemon_id, last).await
 }
 
-/// What others on the bus see of the daemon, and what it sees of them.
+/// What the daemon announces on the bus, and the others it sees there.
 struct Presence {
-    /// The endpoints on which it listens, or tries to.
+    /// Endpoints on which it listens or tries to.
     listening: Vec<String>,
     foreign: [Subscriber<()>; 2],
     watching: [JoinHandle<()>; 2],
@@ -263,7 +263,7 @@ impl Presence {
         Ok(Self { listening, foreign, watching, token })
     }
 
-    /// Writes to the log that the daemon watches, and where it can be reached.
+    /// Logs that the daemon is running, and its addresses.
     fn announce(&self, config: &Config, daemon_id: &str, web: Option<SocketAddr>, recordings: &Path) {
         tracing::info!(
             prefix = config.site.prefix,

@@ -13,26 +13,26 @@ use stiction_engine::engine::{Comparison, Misplaced};
 /// Result of a comparison.
 #[derive(Debug)]
 pub struct Compared {
-    /// What was compared.
+    /// The comparison.
     pub comparison: Comparison,
-    /// The groups; none where the comparison failed.
+    /// The groups; `None` if the comparison failed.
     pub groups: Option<Vec<GroupDocument>>,
-    /// Loops with a signal under the wrong name or with the wrong sign.
+    /// Loops with a signal under the wrong name or of the wrong sign.
     pub misplaced: Vec<(Arc<str>, Misplaced)>,
     /// How long it took.
     pub took: Duration,
 }
 
-/// The thread's ends. It ends when this is gone.
+/// The caller's ends of the channels. The thread ends when this is dropped.
 pub struct Comparer {
-    /// Comparisons go in here.
+    /// Takes comparisons.
     pub requests: Sender<Comparison>,
-    /// Groups come out here.
+    /// Gives results.
     pub answers: Receiver<Compared>,
 }
 
 impl Comparer {
-    /// Starts the thread of the daemon with this id.
+    /// Starts the thread for the daemon of this id.
     ///
     /// # Errors
     /// The system refuses a thread.
@@ -50,7 +50,7 @@ impl Comparer {
         Ok(comparer)
     }
 
-    /// This end, and the two that a thread would hold: where comparisons come out and groups go in.
+    /// This end, and the two ends that the thread would hold: the receiver of comparisons and the sender of results.
     #[must_use]
     pub fn ends() -> (Self, Receiver<Comparison>, Sender<Compared>) {
         let (requests, waiting) = crossbeam_channel::bounded(1);
@@ -59,7 +59,7 @@ impl Comparer {
     }
 }
 
-/// Does a comparison for the daemon with this id.
+/// Runs a comparison for the daemon of this id.
 #[must_use]
 pub fn compare(comparison: Comparison, daemon: &str) -> Compared {
     let began = Instant::now();

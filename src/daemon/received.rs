@@ -1,8 +1,7 @@
-//! Published documents read back into the types that they were written from, so that a reader elsewhere on the bus says of
-//! them what the daemon itself would.
+//! Reads published documents back into their types, so that a reader elsewhere on the bus describes them as the daemon would.
 //!
-//! What a table and the words need is read; parts that only programs use (controller, search) are left out. Fields may be
-//! missing, of a newer version, or forged: what cannot be read is as if it were null.
+//! Only what tables and texts need is read; parts for programs (controller, search) are left out. Fields may be missing, of a
+//! newer version, or forged: what cannot be read counts as null.
 
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -15,25 +14,25 @@ use stiction_engine::alarm::{ALARM_SCHEMA, AlarmDocument, Figures, Marks};
 
 /// NE 107 categories of an alarm.
 const NE107: [&str; 6] = ["none", "ok", "M", "C", "S", "F"];
-/// A word that this version does not know.
+/// Stands for a word that this version does not know.
 const UNKNOWN: &str = "other";
 
 fn read<T: DeserializeOwned>(document: &Value, field: &str) -> Option<T> {
     T::deserialize(document.get(field)?).ok()
 }
 
-/// Those of a list that can be read.
+/// The items of a list that can be read.
 fn each<T: DeserializeOwned>(document: &Value, field: &str) -> Vec<T> {
     let list = document.get(field).and_then(Value::as_array);
     list.into_iter().flatten().filter_map(|item| T::deserialize(item).ok()).collect()
 }
 
-/// Fields that stand among the document's own.
+/// Fields of a nested type that are flattened into the document.
 fn whole<T: DeserializeOwned + Default>(document: &Value) -> T {
     T::deserialize(document).unwrap_or_default()
 }
 
-/// A word as this build knows it.
+/// A word of this build's list, or [`UNKNOWN`].
 fn word(document: &Value, field: &str, mut known: impl Iterator<Item = &'static str>) -> Option<&'static str> {
     let text = document.get(field)?.as_str()?;
     Some(known.find(|k| *k == text).unwrap_or(UNKNOWN))
@@ -63,7 +62,7 @@ fn indicator(of: &Value) -> Option<Indicator> {
     })
 }
 
-/// An estimate (`stictiond.estimate.v1`); none where it is no such document, or names no loop or window.
+/// An estimate (`stictiond.estimate.v1`); `None` if it is another document or lacks the loop or the window.
 #[must_use]
 pub fn estimate(document: &Value) -> Option<EstimateDocument> {
     let d = document;
@@ -79,7 +78,7 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
         stiction: read(d, "stiction"),
         reason: word(d, "reason", reasons()),
         p_stiction: read(d, "p_stiction"),
-        // Before the prevalence documents had the calibrated one alone.
+        // Before the prevalence was added, documents had only the calibrated probability, as `p_stiction`.
         p_calibrated: read(d, "p_calibrated").or_else(|| read(d, "p_stiction")),
         prevalence: read(d, "prevalence").unwrap_or(CALIBRATED_FOR),
         confidence: read(d, "confidence"),
@@ -119,7 +118,7 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
     Some(EstimateDocument { group: read(d, "group"), daemon: read(d, "daemon"), ..document })
 }
 
-/// An alarm (`stictiond.alarm.v2`); none where it is no such document, or lacks loop, state or time.
+/// An alarm (`stictiond.alarm.v2`); `None` if it is another document or lacks loop, state or time.
 #[must_use]
 pub fn alarm(document: &Value) -> Option<AlarmDocument> {
     let d = document;
@@ -162,7 +161,7 @@ mod tests {
     use super::*;
     use stiction_files::RecordingReader;
 
-    /// Every estimate and alarm of the shipped recordings says the same after it was read back, but for what is left out.
+    /// Every estimate and alarm of the shipped recordings is the same after reading it back, except for the omitted parts.
     #[test]
     fn documents_read_back_are_those_that_were_written() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings");

@@ -1,4 +1,4 @@
-//! The configuration file of a running daemon: read at the start and again on each reload.
+//! The configuration file of a running daemon, read at the start and on each reload.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -18,15 +18,15 @@ use stiction_engine::shard::Shard;
 
 /// Name of the fault while the file cannot be used.
 const FAULT: &str = "config";
-/// How long the file may take to be read: it may lie on a disk that hangs.
+/// How long reading the file may take: it may be on a disk that hangs.
 const READ_WITHIN: Duration = Duration::from_secs(10);
-/// Pause before the engine's queue is tried again.
+/// Pause before the next attempt to put a request into the engine's queue.
 const AGAIN_AFTER: Duration = Duration::from_millis(20);
 
-/// A configuration file, and what the command line says in its place.
+/// A configuration file, and the options on the command line that override it.
 #[derive(Debug, Clone)]
 pub struct ConfigFile {
-    /// Where it is.
+    /// Its path.
     pub path: PathBuf,
     /// `--id`.
     pub id: Option<String>,
@@ -35,7 +35,7 @@ pub struct ConfigFile {
 }
 
 impl ConfigFile {
-    /// Reads the file. Gives its text too.
+    /// Reads the file; also returns its text.
     ///
     /// # Errors
     /// It cannot be read, or has faults: all of them, a line each.
@@ -46,7 +46,7 @@ impl ConfigFile {
         Ok((config, text))
     }
 
-    /// Reads a text in place of the file's.
+    /// Parses a text instead of the file's.
     fn parse(&self, text: &str) -> anyhow::Result<Config> {
         let mut config = Config::parse(text).map_err(|faults| {
             let lines: String = faults.iter().map(|fault| format!("\n  {fault}")).collect();
@@ -59,7 +59,7 @@ impl ConfigFile {
         Ok(config)
     }
 
-    /// The edit that the file asks for now.
+    /// The edit that turns the current configuration into the file's.
     ///
     /// # Errors
     /// Those of [`ConfigFile::read`], or settings that cannot change while the daemon runs.
@@ -73,7 +73,7 @@ impl ConfigFile {
     }
 }
 
-/// Reads the file on a separate thread, one at a time: a thread that hangs stays behind until the file answers.
+/// Reads the file on a separate thread, one read at a time: a thread that hangs remains until the file responds.
 #[derive(Debug, Clone)]
 struct FileReader {
     file: ConfigFile,
@@ -98,7 +98,7 @@ impl FileReader {
     }
 }
 
-/// Takes edits of the configuration file over, as a whole or not at all.
+/// Applies edits of the configuration file, completely or not at all.
 pub struct Reload {
     file: Option<FileReader>,
     current: CurrentConfig,
@@ -108,32 +108,32 @@ pub struct Reload {
     faults: Arc<Faults>,
 }
 
-/// What an edit reaches.
+/// The parts of the daemon that an edit changes.
 pub struct ReloadParts {
-    /// The file; none where there is nothing to read again.
+    /// The file; `None` if there is none to read again.
     pub file: Option<ConfigFile>,
     /// The configuration in force.
     pub current: CurrentConfig,
-    /// The way to the engine.
+    /// Sends to the engine.
     pub control: Sender<Control>,
-    /// Who asks over the bus.
+    /// Replies to requests over the bus.
     pub askers: Askers,
-    /// The keys that are subscribed to.
+    /// The keys subscribed to.
     pub subscriptions: Subscriptions,
     /// The faults.
     pub faults: Arc<Faults>,
 }
 
 impl Reload {
-    /// Of these parts.
+    /// A reload with these parts.
     #[must_use]
     pub fn new(parts: ReloadParts) -> Self {
         let ReloadParts { file, current, control, askers, subscriptions, faults } = parts;
         Self { file: file.map(FileReader::new), current, control, askers, subscriptions, faults }
     }
 
-    /// Reads the file again and takes over what changed: once this returns, it is in force. A file that cannot be used
-    /// changes nothing, and is a fault until a later one can.
+    /// Reads the file again and applies the changes, which are in force when this returns. A file that cannot be used changes
+    /// nothing, and is a fault until a later one can be.
     pub async fn run(&mut self) {
         match self.take_over().await {
             Ok(changes) => {
@@ -141,7 +141,7 @@ impl Reload {
                 let changes = changes.to_string().replace('\n', "; ");
                 tracing::info!(%changes, "configuration reloaded; these changes are in force");
             }
-            // One line, as all faults.
+            // Faults have one line.
             Err(error) => self.faults.raise(FAULT, format!("{error:#}").replace("\n  ", " ")),
         }
     }
@@ -162,13 +162,13 @@ impl Reload {
         Ok(changes)
     }
 
-    /// Gives the subscriptions up.
+    /// Ends the subscriptions.
     pub async fn close(self) {
         self.subscriptions.close().await;
     }
 }
 
-/// Waits until the engine's queue has taken a request, or the engine is gone.
+/// Waits until the engine's queue has taken a request or the engine has ended.
 async fn hand_over(control: &Sender<Control>, mut request: Control) {
     while let Err(TrySendError::Full(refused)) = control.try_send(request) {
         request = refused;
@@ -192,7 +192,7 @@ mod tests {
         for _ in 0..2 {
             assert!(edit(20).err().unwrap().to_string().contains("c.toml: the file has not answered yet"));
         }
-        // Whoever opens the other end lets the thread go on.
+        // Opening the other end lets the thread continue.
         std::fs::write(&path, "").unwrap();
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, "[site]\nprefix = \"p\"\n[[loop]]\nname = \"A\"\n").unwrap();

@@ -1,6 +1,6 @@
-//! Looks after the recording folder on a thread of the lowest priority: takes out samples that are older or
-//! more than the retention allows, removes such results, reads every finished file once to see whether it is whole, and
-//! names what was put aside. It never touches the file in use, and logs and counts whatever it takes away.
+//! Maintains the recording folder on a thread of the lowest priority: removes samples that are older or more than the retention
+//! allows, likewise results; reads every finished file once to check that it is complete; and reports what was put aside. It
+//! never touches the file in use, and logs and counts everything it removes.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
@@ -25,17 +25,17 @@ use stiction_files::{End, RecordingReader};
 
 /// Pause between two looks at the folder.
 const EVERY: Duration = Duration::from_secs(30);
-/// Times what a check took that it then rests: a third of one disk at most.
+/// After a check, the thread rests this many times as long as the check took: it uses a third of one disk at most.
 const REST: u32 = 2;
-/// Wall time beyond the newest recording from which the clock is doubted, ns: thirty days.
+/// The clock is doubted if it is further than this ahead of the newest recording, ns: thirty days.
 const DOUBT_NS: i64 = 30 * DAY_NS;
-/// Wall time beyond the running time from which the clock is doubted, ns.
+/// The clock is doubted if it advances by this much more than the running time, ns.
 const JUMP_NS: i64 = DAY_NS;
-/// How long nothing is removed by age then.
+/// How long nothing is then removed by age.
 const WAIT: Duration = Duration::from_secs(86_400);
 const DAY_NS: i64 = 86_400_000_000_000;
-/// Room on the disk below which that is a fault, if it is also less than this part of the disk: about a day of samples of
-/// a thousand loops.
+/// Free disk space below which a fault is raised, if it is also less than one part in [`MIN_FREE_PART`] of the disk: about a
+/// day of samples of a thousand loops.
 const MIN_FREE_BYTES: u64 = 10_000_000_000;
 const MIN_FREE_PART: u64 = 20;
 
@@ -43,7 +43,7 @@ const MIN_FREE_PART: u64 = 20;
 pub struct RetentionParts {
     /// The folder.
     pub dir: PathBuf,
-    /// Recordings of other prefixes are left alone.
+    /// Prefix of this daemon; recordings of other prefixes are left alone.
     pub prefix: String,
     /// The run whose open files are in use.
     pub run_id: String,
@@ -51,9 +51,9 @@ pub struct RetentionParts {
     pub config: CurrentConfig,
     /// The folder's lock.
     pub lock: SharedLock,
-    /// Where files that were found whole are remembered; none in a demonstration.
+    /// Where files found complete are noted; `None` in a demonstration.
     pub notes: Option<Notes>,
-    /// What earlier runs noted of files that they found whole, by name.
+    /// Files that earlier runs found complete, by name.
     pub verified: BTreeMap<String, String>,
     /// Counters.
     pub metrics: Arc<Metrics>,
@@ -63,10 +63,10 @@ pub struct RetentionParts {
     pub clock: Clock,
 }
 
-/// Size and time of the last change of a file: while both stay, so does its content.
+/// Size and time of last change of a file: while both stay the same, the content is taken to be the same.
 type FileStamp = (u64, i64);
 
-/// One recording, as far as keeping it goes.
+/// One recording, with what retention needs to know.
 #[derive(Debug, Clone)]
 struct Kept {
     file: RunFile,
@@ -87,7 +87,7 @@ pub fn start(parts: RetentionParts, stop: Receiver<()>) -> std::io::Result<JoinH
         super::gaps::yield_to_all();
         let faults = worker.parts.faults.clone();
         loop {
-            // Whatever goes wrong with one file, the others are still to be looked after.
+            // Whatever goes wrong with one file, the others must still be maintained.
             let done = catch_unwind(AssertUnwindSafe(|| {
                 worker.keep();
                 worker.check(&stop)
@@ -106,19 +106,19 @@ pub fn start(parts: RetentionParts, stop: Receiver<()>) -> std::io::Result<JoinH
     })
 }
 
-/// The work without its thread: whoever holds it decides when it is done.
+/// The work without its thread, so that a test or simulation can call it directly.
 pub struct RetentionWorker {
     parts: RetentionParts,
-    /// Cached facts of each file, by name, size and age.
+    /// Cached facts about each file, by name, size and time of change.
     known: HashMap<(PathBuf, u64, i64), Option<Kept>>,
-    /// Files that were read to their end.
+    /// Files that were read to the end.
     checked: HashMap<PathBuf, FileStamp>,
     damaged: BTreeMap<PathBuf, String>,
     doubt: Doubt,
 }
 
 impl RetentionWorker {
-    /// Ready to work; files that an earlier run found whole count as checked.
+    /// A worker for which files that an earlier run found complete count as checked.
     #[must_use]
     pub fn new(parts: RetentionParts) -> Self {
         let verified = parts.verified.iter().filter_map(|(name, look)| Some((parts.dir.join(name), look_of(look)?)));
@@ -131,11 +131,11 @@ impl RetentionWorker {
         }
     }
 
-    /// Looks at the folder once, and removes what the retention allows no longer.
+    /// Goes through the folder once and removes what exceeds the retention.
     pub fn keep(&mut self) {
         match self.parts.lock.renew() {
             Ok(true) => self.parts.faults.clear("lock"),
-            // Why there is none was told at the start.
+            // The reason for having no lock was logged at the start.
             Ok(false) => {}
             Err(error) => self.parts.faults.raise("lock", error.to_string()),
         }
@@ -157,7 +157,7 @@ impl RetentionWorker {
         }
     }
 
-    /// Every recording of this prefix, oldest first.
+    /// All recordings of this prefix, oldest first.
     fn files(&mut self) -> Vec<Kept> {
         let entries = fs::read_dir(&self.parts.dir).into_iter().flatten().flatten();
         let mut files = Vec::new();
@@ -200,7 +200,7 @@ impl RetentionWorker {
         }
     }
 
-    /// Reads finished files that were not read yet, with rests; true where the daemon stops.
+    /// Reads the finished files that were not read yet, resting between them; true if the daemon stops.
     fn check(&mut self, stop: &Receiver<()>) -> bool {
         for path in self.unchecked() {
             let started = Instant::now();
@@ -212,16 +212,16 @@ impl RetentionWorker {
         false
     }
 
-    /// Reads every finished file that was not read yet, without rests.
+    /// Reads the finished files that were not read yet, without rests.
     pub fn check_all(&mut self) {
-        // Nobody asks it to stop: the other end stays open.
+        // The sender stays open, so nothing stops it early.
         let (_open, stop) = crossbeam_channel::bounded(0);
         for path in self.unchecked() {
             self.check_one(&path, &stop);
         }
     }
 
-    /// Finished files that were not read yet, newest first. Cached facts of files that are gone are dropped.
+    /// Finished files that were not read yet, newest first. Drops cached facts about files that no longer exist.
     fn unchecked(&mut self) -> Vec<PathBuf> {
         let files = self.files();
         let there: HashMap<&Path, FileStamp> =
@@ -273,7 +273,7 @@ impl RetentionWorker {
     }
 }
 
-/// Names a disk that will be full soon, while there is time to do something about it.
+/// Raises a fault while the disk is nearly full, early enough to act.
 #[cfg(target_os = "linux")]
 fn tell_room(dir: &Path, recordings: u64, faults: &Faults) {
     let Ok(disk) = rustix::fs::statvfs(dir) else { return };
@@ -299,15 +299,15 @@ fn nearly_full(free: u64, all: u64, recordings: u64) -> Option<String> {
     })
 }
 
-/// What came of reading a file to its end.
+/// Result of reading a file.
 enum Checked {
     Whole,
     Damaged(String),
-    /// The daemon stops: it was not read to its end.
+    /// The daemon stops; the file was not read to the end.
     Stopped,
 }
 
-/// Reads a finished file to its end. One that a crash cut off is as whole as it can be.
+/// Reads a finished file to the end. A file cut off by a crash counts as complete as far as it goes.
 fn fault_of(path: &Path, stop: &Receiver<()>) -> Checked {
     let part = path.extension().is_some_and(|e| e == "part");
     let mut reader = match RecordingReader::open(path) {
@@ -316,7 +316,7 @@ fn fault_of(path: &Path, stop: &Receiver<()>) -> Checked {
     };
     for count in 0_u64.. {
         match reader.next_item() {
-            // A large file must not hold up the end of the daemon.
+            // A large file must not delay the daemon's end.
             Ok(Some(_)) if count.is_multiple_of(4096) && stop.try_recv() == Err(TryRecvError::Disconnected) => {
                 return Checked::Stopped;
             }
@@ -354,12 +354,12 @@ fn read(path: &Path, parts: &RetentionParts, bytes: u64, modified_ns: i64) -> Op
     let file = RunFile::of(path, metadata)?;
     let open = file.run_id == parts.run_id && path.extension().is_some_and(|e| e == "part");
     let results_only = metadata.get(SAMPLES_KEY).is_some_and(|word| word == REMOVED);
-    // What an earlier attempt left half done.
+    // Left half done by an earlier attempt.
     let _ = fs::remove_file(under_way(&finished_name(path)));
     Some(Kept { file, bytes, modified_ns, results_only, open })
 }
 
-/// A recording's name once it is whole.
+/// The recording's name once it is finished.
 fn finished_name(path: &Path) -> PathBuf {
     if path.extension().is_some_and(|e| e == "part") { path.with_extension("") } else { path.to_owned() }
 }
@@ -368,14 +368,14 @@ fn ns_of(time: SystemTime) -> i64 {
     time.duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX))
 }
 
-/// One thing to do.
+/// One removal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Step {
     TakeSamplesOut { path: PathBuf, why: &'static str },
     Remove { path: PathBuf, why: &'static str },
 }
 
-/// Removals that the retention asks for, files given oldest first. `now_ns` is none while the clock is in doubt.
+/// Removals that the retention requires, for files given oldest first. `now_ns` is `None` while the clock is in doubt.
 fn plan(files: &[Kept], retention: &Retention, now_ns: Option<i64>) -> Vec<Step> {
     let mut steps = Vec::new();
     let kinds =
@@ -401,7 +401,7 @@ fn plan(files: &[Kept], retention: &Retention, now_ns: Option<i64>) -> Vec<Step>
     steps
 }
 
-/// Whether the wall clock may be believed: a clock that is years ahead must not remove everything at once.
+/// Whether the wall clock can be trusted: a clock that is years ahead must not cause everything to be removed at once.
 #[derive(Debug)]
 struct Doubt {
     at: (i64, Instant),
@@ -414,7 +414,7 @@ impl Doubt {
         Self { at: (now_ns, now), until: None, first: true }
     }
 
-    /// The time, unless it is in doubt. `newest_ns`: when the newest recording of an earlier run was written.
+    /// The time, unless it is in doubt. `newest_ns`: time of the newest recording of an earlier run.
     fn look(&mut self, now_ns: i64, now: Instant, newest_ns: Option<i64>) -> Option<i64> {
         let ran_ns = i64::try_from(now.duration_since(self.at.1).as_nanos()).unwrap_or(i64::MAX);
         let jumped = now_ns.saturating_sub(self.at.0).saturating_sub(ran_ns) > JUMP_NS;
@@ -505,7 +505,7 @@ mod tests {
         assert_eq!(run(BTreeMap::new()), (3, 0, 3));
         assert_eq!(stored().len(), 3);
         assert_eq!(run(stored()), (0, 0, 3), "known by name, size and time of change");
-        // One has lost its end, one is gone, one is new.
+        // One is cut short, one is missing, one is new.
         let hurt = fs::read(dir.path().join("r0.mcap")).unwrap();
         fs::write(dir.path().join("r0.mcap"), &hurt[..hurt.len() - 9]).unwrap();
         fs::remove_file(dir.path().join("r1.mcap")).unwrap();
@@ -526,16 +526,16 @@ mod tests {
         let files = [kept(0, 10, 500, true), kept(1, 10, 90, true), kept(2, 10, 70, false), kept(3, 10, 9, false)];
         let retention = Retention { raw_days: 60.0, raw_bytes: 0, results_days: 400.0, results_bytes: 0 };
         assert_eq!(names(&plan(&files, &retention, Some(0))), ["thin 2.mcap", "remove 0.mcap"]);
-        // By bytes the oldest first, and only as many as must go.
+        // By bytes, the oldest are removed first, and no more than necessary.
         let many: Vec<Kept> = (0..5).map(|k| kept(k, 10, 1, false)).collect();
         let retention = Retention { raw_days: 0.0, raw_bytes: 30, results_days: 0.0, results_bytes: 0 };
         assert_eq!(names(&plan(&many, &retention, Some(0))), ["thin 0.mcap", "thin 1.mcap"]);
-        // The file in use counts, and stays.
+        // The file in use counts, but is kept.
         let mut one = vec![kept(0, 100, 99, false)];
         one[0].open = true;
         let strict = Retention { raw_days: 1.0, raw_bytes: 1, results_days: 1.0, results_bytes: 1 };
         assert!(plan(&one, &strict, Some(0)).is_empty());
-        // Without a clock that can be believed only bytes count.
+        // Without a trusted clock only bytes count.
         assert_eq!(names(&plan(&files, &Retention { raw_days: 1.0, raw_bytes: 0, ..strict }, None)).len(), 2);
         let unlimited = Retention { raw_days: 0.0, raw_bytes: 0, results_days: 0.0, results_bytes: 0 };
         assert!(plan(&files, &unlimited, Some(0)).is_empty());

@@ -1,4 +1,4 @@
-//! Which loop and signal a key means: mapped keys first, then everything below the prefix.
+//! Finds the loop and signal of a key: from the mapped keys first, else from the key below the prefix.
 
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
@@ -10,7 +10,7 @@ use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, LoopId};
 use stiction_engine::shard::Shard;
 
-/// Longest name of a loop that is discovered, bytes.
+/// Longest name of a discovered loop, bytes.
 const NAME_BYTES: usize = 256;
 
 /// Where a key leads.
@@ -18,34 +18,34 @@ const NAME_BYTES: usize = 256;
 pub enum Route {
     /// A signal of a loop.
     To(LoopId, Signal),
-    /// No signal.
+    /// It names no signal.
     Foreign,
-    /// A loop that is not configured, or whose name cannot be one.
+    /// A loop that is not configured, or a name that no loop can have.
     Refused,
-    /// A new loop beyond what may be.
+    /// A new loop that exceeds the limit.
     Full,
     /// A loop of another shard.
     Elsewhere,
 }
 
-/// The table of keys, learnt as they appear.
+/// The table of keys, filled as they appear.
 #[derive(Debug)]
 pub struct Routes {
     prefix: String,
     discover: bool,
     mapped: HashMap<String, (String, Signal)>,
-    /// Loops that the configuration names.
+    /// The configured loops.
     configured: HashSet<String>,
-    /// Keys that mean a signal; nothing is kept of others, however many come.
+    /// Keys that name a signal. Others are not kept, however many come.
     known: HashMap<Box<str>, Route>,
-    /// Told of each of them.
+    /// Informed of each known key.
     shares: Shares,
-    /// This daemon's part of the loops.
+    /// The part of the loops that this daemon serves.
     shard: Shard,
 }
 
 impl Routes {
-    /// The routes that a configuration fixes.
+    /// The routes that the configuration fixes.
     #[must_use]
     pub fn new(config: &Config, shares: Shares) -> Self {
         let mapped = config
@@ -58,7 +58,7 @@ impl Routes {
         Self { prefix, discover, mapped, configured, known: HashMap::new(), shares, shard: config.shard }
     }
 
-    /// The route of a key; a loop that is new appears, a discovered one where `may_appear` agrees.
+    /// The route of a key. A new loop is created; one that is not configured only if `may_appear` agrees.
     pub fn of(&mut self, key: &str, engine: &mut Engine, may_appear: impl FnOnce() -> bool) -> Route {
         if let Some(route) = self.known.get(key) {
             return *route;
@@ -74,8 +74,8 @@ impl Routes {
         route
     }
 
-    /// The first of the keys that mean a signal and differ in the letters of their last chunk alone, where this key is not
-    /// the usual one: that, if it was heard before.
+    /// If the key is not in its usual spelling: another known key that names the same signal and differs only in the upper and
+    /// lower case of its last chunk.
     #[must_use]
     pub fn respelled<'k>(&self, key: &'k str) -> Option<Cow<'k, str>> {
         let last = leaf(key);
@@ -86,7 +86,7 @@ impl Routes {
         Some(if self.known.contains_key(usual.as_str()) { Cow::Owned(usual) } else { Cow::Borrowed(key) })
     }
 
-    /// The loop and the signal that a key means.
+    /// The loop and signal that a key names.
     fn meaning<'a>(&'a self, key: &'a str) -> Option<(&'a str, Signal)> {
         let mapped = self.mapped.get(key).map(|(name, signal)| (name.as_str(), *signal));
         mapped.or_else(|| match Topic::parse(Some(&self.prefix), key)? {
@@ -95,7 +95,7 @@ impl Routes {
         })
     }
 
-    /// The route of a loop's signal, which came under a name in a payload or under a key.
+    /// The route of a loop's signal that came under a name in a payload or under a key.
     pub fn to_loop(&self, name: &str, signal: Signal, engine: &mut Engine, may_appear: impl FnOnce() -> bool) -> Route {
         if !(self.configured.contains(name) || self.discover && is_sound(name)) {
             return Route::Refused;
@@ -108,7 +108,7 @@ impl Routes {
         appeared.map_or(Route::Full, |id| Route::To(id, signal))
     }
 
-    /// The keys of these loops are as if they had never come.
+    /// Forgets the keys of these loops.
     pub fn forget(&mut self, gone: &HashSet<LoopId>) {
         let shares = &self.shares;
         self.known.retain(|key, route| {
@@ -120,7 +120,7 @@ impl Routes {
         });
     }
 
-    /// Takes over which keys are mapped and which loops are named; keys that mean something else now are forgotten.
+    /// Adopts new mappings and loop names; keys whose meaning has changed are forgotten.
     pub fn reconfigure(&mut self, config: &Config, engine: &Engine) {
         let before = std::mem::replace(self, Self::new(config, self.shares.clone()));
         for (key, route) in before.known {
@@ -136,7 +136,7 @@ impl Routes {
         }
     }
 
-    /// Keys that it holds.
+    /// Number of known keys.
     #[cfg(test)]
     #[must_use]
     pub fn count(&self) -> usize {
@@ -149,12 +149,12 @@ impl Routes {
     }
 }
 
-/// Whether a signal's name is written in small letters or in capitals; other spellings are understood, and not kept.
+/// Whether a signal's name is all lower or all upper case; other spellings are understood but not stored.
 fn is_usual(leaf: &str) -> bool {
     !leaf.bytes().any(|b| b.is_ascii_uppercase()) || !leaf.bytes().any(|b| b.is_ascii_lowercase())
 }
 
-/// Whether a name may become a loop's: short, and nothing that steers a terminal.
+/// Whether a name is acceptable for a loop: short, and without control characters, which could steer a terminal.
 fn is_sound(name: &str) -> bool {
     !name.is_empty() && name.len() <= NAME_BYTES && !name.chars().any(char::is_control)
 }

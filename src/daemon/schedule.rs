@@ -1,29 +1,29 @@
-//! Which waiting window gets the next worker, and which one is given up when too many wait.
+//! Decides which waiting window gets the next worker, and which one is dropped when too many wait.
 //!
-//! Windows of all loops end at the same whole multiples of the hop, so thousands come due at once. They are served
-//! oldest first, those of one instant in the order of a hash of their loops' names, and each loop in its turn: one that
-//! asks for many windows gets one for every one that the others get (start-time fair queueing with equal shares).
+//! Windows of all loops end at the same whole multiples of the hop, so thousands come due at once. They are served oldest
+//! first; those of the same instant in the order of a hash of their loops' names. Loops take turns: one that asks for many
+//! windows gets one for each that the others get (start-time fair queueing with equal shares).
 //!
-//! Up to [`BURST`] windows wait as they come, so that history played fast is estimated whole. Beyond that a loop holds
-//! one: a newer window takes the older one's place in the row, which stretches the loop's hop. Where even these are too
-//! many, the loop that was passed over longest ago is passed over.
+//! Up to [`BURST`] windows wait as they come, so that history played fast is estimated completely. Beyond that each loop holds
+//! one window: a newer one takes the older one's place in the queue, which stretches the loop's hop. If there are still too
+//! many, the loop that was skipped longest ago is skipped.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, HashMap, VecDeque};
 
 use stiction_engine::shard::stable_hash;
 
-/// Windows that may wait before each loop holds but one.
+/// Number of waiting windows beyond which each loop may hold only one.
 pub const BURST: usize = 1024;
-/// Windows that may wait at all.
+/// Most windows that may wait.
 pub const LIMIT: usize = 1_000_000;
-/// Bytes that these may take.
+/// Most bytes that they may take.
 pub const LIMIT_BYTES: usize = 512 << 20;
 
 /// One waiting job of a loop.
 #[derive(Debug)]
 struct Waiting<J> {
-    /// Its place in the row of all.
+    /// Its place in the common queue.
     tag: u64,
     bytes: usize,
     job: J,
@@ -34,21 +34,21 @@ struct Waiting<J> {
 struct Share<J> {
     hash: u64,
     waiting: VecDeque<Waiting<J>>,
-    /// The earliest place of its next job.
+    /// Earliest place of its next job.
     next_tag: u64,
-    /// When it was last passed over, in skips of all loops.
+    /// When it was last skipped, counted in skips of all loops.
     passed_over: u64,
 }
 
-/// Jobs by loop, in the order in which they are to be done.
+/// Jobs by loop, in the order in which they are to be run.
 #[derive(Debug)]
 pub struct Schedule<J> {
     loops: HashMap<usize, Share<J>>,
-    /// Tag of each loop's first job, with what breaks ties.
+    /// Tag of each loop's first job, with the tie-breakers.
     row: BTreeSet<(u64, u64, usize)>,
-    /// Loops by what they hold, most first, then by when they were last passed over.
+    /// Loops by number of jobs held, most first, then by when they were last skipped.
     holders: BTreeSet<(Reverse<usize>, u64, u64, usize)>,
-    /// Tag of the job that was given out last.
+    /// Tag of the last job handed out.
     now: u64,
     skips: u64,
     length: usize,
@@ -63,7 +63,7 @@ impl<J> Default for Schedule<J> {
 }
 
 impl<J> Schedule<J> {
-    /// A schedule with limits: windows as they come, windows at all, bytes.
+    /// A schedule with limits: windows kept in order of arrival, windows in total, bytes.
     #[must_use]
     pub fn new(limits: [usize; 3]) -> Self {
         Self {
@@ -78,33 +78,33 @@ impl<J> Schedule<J> {
         }
     }
 
-    /// Jobs that wait.
+    /// Number of waiting jobs.
     #[must_use]
     pub const fn waiting(&self) -> usize {
         self.length
     }
 
-    /// Bytes that wait.
+    /// Bytes of the waiting jobs.
     #[must_use]
     pub const fn bytes(&self) -> usize {
         self.bytes
     }
 
-    /// Loops that it holds.
+    /// Number of loops in it.
     #[cfg(test)]
     #[must_use]
     pub fn count(&self) -> usize {
         self.loops.len()
     }
 
-    /// A loop of which nothing waits is gone.
+    /// Forgets a loop with no waiting job.
     pub fn forget(&mut self, of: usize) {
         if self.loops.get(&of).is_some_and(|share| share.waiting.is_empty()) {
             self.loops.remove(&of);
         }
     }
 
-    /// Puts a job in; gives back those that must be given up for it.
+    /// Adds a job; returns those that must be dropped to make room.
     pub fn push(&mut self, of: usize, name: &str, bytes: usize, job: J) -> Vec<J> {
         let (now, skips) = (self.now, self.skips);
         self.leave(of);
@@ -145,7 +145,7 @@ impl<J> Schedule<J> {
         Some(taken.job)
     }
 
-    /// Gives a loop's oldest job up; the next one of the loop takes its place in the row.
+    /// Drops a loop's oldest job; the loop's next job takes its place in the queue.
     fn evict_oldest(&mut self, of: usize) -> Option<J> {
         self.leave(of);
         self.skips += 1;
@@ -180,7 +180,7 @@ impl<J> Schedule<J> {
 
 type Keys = ((u64, u64, usize), (Reverse<usize>, u64, u64, usize));
 
-/// A loop's places in both orders, while it holds anything.
+/// A loop's keys in both orders, while it holds any job.
 fn keys<J>(of: usize, share: &Share<J>) -> Option<Keys> {
     let first = share.waiting.front()?;
     Some(((first.tag, share.hash, of), (Reverse(share.waiting.len()), share.passed_over, share.hash, of)))
@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn all_loops_get_their_turn_when_all_windows_come_due_at_once() {
-        // 3,000 loops and workers for a third of them a hop: within three hops each has had its fit.
+        // 3,000 loops, and workers for a third of them in each hop: within three hops each loop has had its fit.
         let mut schedule = Schedule::default();
         let mut fits = vec![0; 3000];
         let mut skipped = 0;
@@ -228,7 +228,7 @@ mod tests {
             while schedule.pop().is_some() {}
         }
         let (least, most) = (passed.iter().min().unwrap(), passed.iter().max().unwrap());
-        // A loop that is new counts as just passed over, so the first round is not quite even.
+        // A new loop counts as just skipped, so the first round is not quite even.
         assert!(most - least <= 2, "{least} to {most}");
     }
 
@@ -237,7 +237,7 @@ mod tests {
         let mut schedule = Schedule::default();
         let mut served = [0; 6];
         let mut lost_by_others = 0;
-        // Loop 0 asks for a hundred windows where each of the others asks for one.
+        // Loop 0 requests a hundred windows for each one of the others.
         for window in 0..100 {
             for k in 0..100 {
                 lost_by_others += push(&mut schedule, 0, 100 * window + k).iter().filter(|(of, _)| *of != 0).count();

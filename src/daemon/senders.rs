@@ -1,33 +1,34 @@
-//! Whether two sensors write to one key, which mixes two signals without a trace.
+//! Detects two sensors that write to one key, which mixes two signals unnoticed.
 //!
 //! | what shows it | needs |
 //! |---|---|
-//! | two senders by turns, by the id of Zenoh's source information or of its time stamp | publishers that send one |
-//! | a second, different value for the same time | two sensors that are read at the same moments |
+//! | two senders that alternate, by the id in Zenoh's source information or time stamp | publishers that send an id |
+//! | a second, different value for the same time | two sensors sampled at the same instants |
 //! | times that jump back and forth by the same amount | clocks that differ by more than a sampling time |
 //!
-//! One gateway does none of these: one that restarts has a new id and never its old one again, what it repeats has the same
-//! values, and a backlog comes faster than live data. Two sensors without ids, whose times fall between each other, look like
-//! one that is read twice as often.
+//! A single gateway does none of these: after a restart it has a new id and never the old one again, repeated samples have the
+//! same values, and a backlog comes faster than live data. Two sensors without ids, whose times fall between each other, look
+//! like one that is sampled twice as often.
 
 use std::collections::HashSet;
 
 use stiction::core::record::{Sample, Signal, Value};
 use stiction_engine::engine::LoopId;
 
-/// How often senders must alternate before that is a fault, and how many messages apart at most.
+/// How often senders must alternate to be a fault, and the most messages between two changes.
 const RETURNS: u8 = 4;
 const WITHIN: u8 = 100;
-/// A second value adds this to a score, each new time takes 1 off: corrections are rare. The score that is a fault.
+/// A second value adds this to a score, and each new time subtracts 1, since corrections are rare; the second number is the
+/// score that is a fault.
 const SECOND_VALUE: u8 = 4;
 const ENOUGH: u8 = 32;
-/// How many jumps back by the same amount are a fault.
+/// Number of jumps back by the same amount that is a fault.
 const JUMPS: u8 = 16;
 
 /// Evidence that a key has two sensors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
-    /// Two senders by turns.
+    /// Two senders alternate.
     Senders,
     /// Two values for one time.
     Values,
@@ -35,33 +36,33 @@ pub enum Doubt {
     Clocks(i64),
 }
 
-/// What was heard of one signal so far.
+/// State of one signal.
 #[derive(Debug, Clone, Copy, Default)]
 struct Heard {
-    /// The sender of the last message, and the one before it; 0 for none.
+    /// The sender of the last message and the previous sender; 0 for none.
     senders: [u64; 2],
-    /// Messages since the sender changed.
+    /// Messages since the last change of sender.
     since: u8,
     returns: u8,
     /// Last time and value.
     t_ns: i64,
     value: Option<f64>,
     second_values: u8,
-    /// The last jump back, ns, and by how much the step after it went further forward.
+    /// The last jump back, ns, and how much further forward the next step went.
     back_ns: i64,
     gain_ns: i64,
     jumped: bool,
     jumps: u8,
 }
 
-/// OP and PV of each loop, by its place.
+/// OP and PV of each loop, by handle.
 #[derive(Debug, Default)]
 pub struct Senders {
     heard: Vec<[Heard; 2]>,
 }
 
 impl Senders {
-    /// A sample came; `sender` is the id of who published it, if it says so.
+    /// Takes a sample; `sender` is the publisher's id, if it sends one.
     pub fn hear(&mut self, id: LoopId, sender: Option<u64>, sample: &Sample) -> Option<Doubt> {
         let signal = [Signal::Op, Signal::Pv].iter().position(|signal| *signal == sample.signal)?;
         if self.heard.len() <= id.index() {
@@ -73,7 +74,7 @@ impl Senders {
         if by_turns { Some(Doubt::Senders) } else { found }
     }
 
-    /// Nothing is known of these loops any more.
+    /// Forgets these loops.
     pub fn forget(&mut self, gone: &HashSet<LoopId>) {
         for id in gone {
             self.heard.get_mut(id.index()).into_iter().for_each(|heard| *heard = Default::default());
@@ -116,7 +117,7 @@ impl Heard {
             return None;
         }
         let back_ns = step_ns.saturating_neg();
-        // A gateway whose threads overtake each other goes back by less than it gains.
+        // A gateway whose threads overtake each other jumps back by less than it gains.
         let is_equal =
             (1..=back_ns).contains(&self.gain_ns) && self.back_ns.abs_diff(back_ns) <= self.gain_ns.unsigned_abs() / 2;
         self.jumps = if is_equal && !self.jumped { self.jumps.saturating_add(1) } else { 0 };
@@ -132,7 +133,7 @@ mod tests {
     const S: i64 = 1_000_000_000;
     const START: i64 = 1_700_000_000;
 
-    /// What is found in messages of sender, second and value.
+    /// Doubts found in messages given as sender, second and value.
     fn found(messages: impl IntoIterator<Item = (Option<u64>, i64, f64)>) -> Vec<Doubt> {
         let config = stiction_engine::config::Config::with_prefix("p");
         let id = stiction_engine::engine::Engine::new(config.engine()).appear("L").unwrap();
@@ -148,7 +149,7 @@ mod tests {
     fn two_sensors_on_one_key_are_found() {
         let by_id = found((0..100).map(|k| (Some(1 + k as u64 % 2), k, k as f64)));
         assert!(by_id.len() > 90 && by_id.iter().all(|d| *d == Doubt::Senders));
-        // One in twenty messages is of the second sensor.
+        // One message in twenty comes from the second sensor.
         let rare = found((0..400).map(|k| (Some(1 + u64::from(k % 20 == 0)), k, k as f64)));
         assert!(rare.len() > 300, "{}", rare.len());
         let same_times = found((0..100).map(|k| (None, k / 2, f64::from(k as u8 % 2) * 7.0)));
@@ -160,18 +161,18 @@ mod tests {
     #[test]
     fn one_gateway_is_never_two() {
         let steady = |k: i64| (Some(1), k, k as f64);
-        // Restarts: a new id each time, and the last minute once more.
+        // Restarts: each has a new id and repeats the last minute.
         let restarts =
             (0..20).flat_map(|run| (60 * run - 60..60 * run + 60).map(move |k| (Some(run as u64), k, k as f64)));
         assert_eq!(found(restarts), []);
-        // Two gateways that take turns by the hour.
+        // Two gateways that alternate every hour.
         assert_eq!(found((0..20_000).map(|k| (Some(1 + (k as u64 / 3600) % 2), k, k as f64))), []);
-        // A backlog between live data, one by one and in batches.
+        // A backlog among live data, sample by sample and in batches.
         let backlog = |batch: i64| {
             (0..400).map(move |k| if k % 4 == 0 { (None, 5000 + k / 4, 1.0) } else { (None, batch * k, 2.0) })
         };
         assert_eq!((found(backlog(1)), found(backlog(10))), (vec![], vec![]));
-        // Threads that overtake each other, messages that overlap, rows that come twice, and a value that is corrected.
+        // Threads that overtake each other, overlapping messages, repeated rows, and a corrected value.
         assert_eq!(found((0..400).map(|k| steady(k ^ 1))), []);
         assert_eq!(found((0..100).flat_map(|k| (5 * k..5 * k + 10).map(steady))), []);
         assert_eq!(found((0..400).map(|k| steady(k / 2))), []);

@@ -1,4 +1,4 @@
-//! The end of a run: waits for the threads, and says which of them and which recordings did not end cleanly.
+//! The end of a run: waits for the threads, and reports those and the recordings that did not end cleanly.
 
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -9,28 +9,29 @@ use sd_notify::NotifyState;
 use super::engine_thread::notify_system;
 use crate::daemon::sink::recorder::Progress;
 
-/// How long the threads may take to end, or stand still: with what follows it all ends within five seconds, also on a
-/// machine that is busy with other work.
+/// How long the threads may take to end, or make no progress: with the steps after it, shutdown takes at most five seconds,
+/// even on a busy machine.
 const STOP_WITHIN: Duration = Duration::from_secs(3);
-/// How long the recorder may take in any case: it has a file for every thousand loops to finish, and one that is left behind
-/// is not lost, but neither sealed nor indexed.
+/// How long the recorder may take in any case: it has one file for every thousand loops to finish. A file that is left
+/// unfinished is not lost, but is neither sealed nor indexed.
 const RECORDER_WITHIN: Duration = Duration::from_secs(60);
-/// How long it may make no progress between two files.
+/// How long it may go without progress between two files.
 const STANDS_WITHIN: Duration = Duration::from_secs(15);
-/// How often a long end is reported to the system.
+/// How often a long shutdown is reported to the system.
 const NOTIFY_EVERY: Duration = Duration::from_secs(1);
 /// Name of the thread that keeps the recording folder, and how long it may take to end.
 pub const RETENTION: &str = "retention";
 const RETENTION_WITHIN: Duration = Duration::from_millis(300);
-/// How often it is looked whether the threads still run.
+/// Interval between checks whether the threads still run.
 const THREADS_EVERY: Duration = Duration::from_secs(1);
-/// The same while they are waited for.
+/// The same during shutdown.
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
 /// A thread of the daemon, with its name.
 pub type NamedThread = (&'static str, JoinHandle<()>);
 
-/// Ready when a thread has ended though nobody asked it to: half a daemon would look alive to whoever could start it again.
+/// Returns when a thread has ended unexpectedly: with a part of its threads the daemon would look alive, and nothing would
+/// restart it.
 pub async fn unasked_end(threads: &[NamedThread]) -> &'static str {
     loop {
         if let Some((name, _)) = threads.iter().find(|(_, thread)| thread.is_finished()) {
@@ -41,10 +42,10 @@ pub async fn unasked_end(threads: &[NamedThread]) -> &'static str {
     }
 }
 
-/// Waits for the threads to end, but not for ever.
+/// Waits for the threads to end, for a limited time.
 ///
 /// # Errors
-/// Names every thread that panicked, hangs or ended unasked, and every recording that is not finished.
+/// Names every thread that panicked, hangs or ended unexpectedly, and every recording that is not finished.
 pub async fn join(threads: Vec<NamedThread>, unasked: Option<&str>, progress: &Progress) -> anyhow::Result<()> {
     let mut patience = Patience::new(Instant::now(), STOP_WITHIN, progress.steps());
     let mut wrong: Vec<String> = unasked.map(|name| format!("the {name} thread ended unasked")).into_iter().collect();
@@ -69,9 +70,9 @@ pub async fn join(threads: Vec<NamedThread>, unasked: Option<&str>, progress: &P
     bail!(wrong.join("; "))
 }
 
-/// Waits until a thread has ended, or there is no patience left.
+/// Waits until a thread has ended or the time is up.
 async fn wait_for(name: &str, thread: &JoinHandle<()>, patience: &mut Patience, progress: &Progress) {
-    // That thread holds nothing that a crash could harm, and on a busy machine it is the last to get a core.
+    // This thread holds nothing that a crash could harm, and with its low priority it gets a core last on a busy machine.
     let short = (name == RETENTION).then(|| Instant::now() + RETENTION_WITHIN);
     let mut notified = Instant::now();
     while !thread.is_finished() {
@@ -88,7 +89,7 @@ async fn wait_for(name: &str, thread: &JoinHandle<()>, patience: &mut Patience, 
     }
 }
 
-/// How long threads are waited for: a while, and longer as long as the recorder goes on.
+/// How long to wait for threads: a fixed time, extended while the recorder makes progress.
 struct Patience {
     begun: Instant,
     until: Instant,
@@ -101,10 +102,10 @@ impl Patience {
         Self { begun: now, until: now + limit, limit, done }
     }
 
-    /// Whether to give up, given the steps that the recorder has done by now.
+    /// Whether to give up, given the number of steps that the recorder has done.
     fn is_over(&mut self, now: Instant, done: [u64; 2]) -> bool {
         if done != self.done && now < self.begun + RECORDER_WITHIN {
-            // A disk that has finished a file is there: it may take longer over the next one.
+            // A disk that has finished a file works, so it may take longer over the next one.
             let stands = if done[1] > 0 { STANDS_WITHIN.max(self.limit) } else { self.limit };
             (self.done, self.until) = (done, self.until.max(now + stands));
         }

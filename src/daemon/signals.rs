@@ -1,4 +1,4 @@
-//! Signals that a service gets besides the one that ends it.
+//! Signals to the service other than the one that stops it.
 
 use std::future::Future;
 
@@ -8,7 +8,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use super::engine_thread::notify_system;
 use super::reload::Reload;
 
-/// A file that reaches the limit of the system (`ulimit -f`) is an error of that file, not the end of the process.
+/// Makes a file that reaches the system's size limit (`ulimit -f`) an error of that file instead of the end of the process.
 pub fn survive_file_size_limit() {
     #[cfg(target_os = "linux")]
     if let Err(error) = signal(SignalKind::from_raw(rustix::process::Signal::XFSZ.as_raw())) {
@@ -16,13 +16,13 @@ pub fn survive_file_size_limit() {
     }
 }
 
-/// SIGHUPs from now on: without this the first one would end the process.
+/// A stream of SIGHUPs from now on. Without it the first SIGHUP would end the process.
 #[must_use]
 pub fn hangups() -> Option<Signal> {
     signal(SignalKind::hangup()).inspect_err(|error| tracing::warn!(%error, "SIGHUP cannot be watched")).ok()
 }
 
-/// Waits for `stop`; until then SIGHUP reads the configuration again and begins new recordings.
+/// Waits for `stop`. Until then, SIGHUP reloads the configuration and starts new recordings.
 pub async fn serve_until(mut stop: impl Future<Output = ()> + Unpin, mut hangups: Option<Signal>, reload: &mut Reload) {
     loop {
         tokio::select! {
@@ -41,7 +41,7 @@ pub async fn serve_until(mut stop: impl Future<Output = ()> + Unpin, mut hangups
     }
 }
 
-/// The next signal; never where it cannot be watched.
+/// The next signal; pends for ever if signals cannot be watched.
 async fn next(signals: &mut Option<Signal>) {
     match signals {
         Some(signals) => {

@@ -1,9 +1,9 @@
-//! A daemon without threads, bus or clock: queues, engine, schedule, recorder, store of states, restore, page,
-//! delivery, gap diagnoses and retention are those of [`super::run`]. Whoever holds it delivers messages, moves the clock,
-//! does the fits and diagnoses, answers as the receivers and says when the disk is written. So a simulation decides on every
-//! order and every fault, and the same seed gives the same run.
+//! A daemon without threads, bus or clock, made of the parts of [`super::run`]: queues, engine, schedule, recorder, state
+//! store, restore, page, delivery, gap diagnoses and retention. The caller delivers messages, advances the clock, does the fits
+//! and diagnoses, answers as the receivers and decides when the disk writes. So a simulation controls every order and every
+//! fault, and the same seed gives the same run.
 //!
-//! Dropping it is what kill -9 does: nothing is finished.
+//! Dropping it acts like kill -9: nothing is finished.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -42,12 +42,12 @@ use stiction_engine::engine::{Comparison, Engine, GapRequest, Request};
 use stiction_files::disk::Disk;
 use stiction_files::lock::SharedLock;
 
-/// Windows handed to the stage's holder ahead of their fits: as with one worker.
+/// Windows handed out ahead of their fits: as with one worker.
 const AT_HAND: usize = 1;
-/// Name under which it publishes its health.
+/// Daemon id under which it publishes its health.
 const DAEMON_ID: &str = "stage";
 
-/// The parts, and the far ends of their queues.
+/// The parts, and the other ends of their queues.
 pub struct SimDaemon {
     engine: EngineThread,
     intake: Intake,
@@ -75,15 +75,15 @@ pub struct SimDaemon {
     run_id: String,
 }
 
-/// What takes the place of receivers where nothing is delivered.
+/// A target that fails, for runs that deliver nothing.
 #[must_use]
 pub fn no_receiver(_: &Deliver) -> MakeTarget {
     Box::new(|| anyhow::bail!("no receiver"))
 }
 
 impl SimDaemon {
-    /// Starts a run in the configured folder, with what earlier runs left there. `receiver` makes what takes the place of
-    /// each `[[deliver]]` entry.
+    /// Starts a run in the configured folder, with what earlier runs left there. `receiver` makes the replacement for each
+    /// `[[deliver]]` entry.
     ///
     /// # Errors
     /// A receiver cannot be made.
@@ -204,13 +204,13 @@ impl SimDaemon {
         self.intake.take(&envelope, payload.len(), |bytes| bytes.extend_from_slice(payload));
     }
 
-    /// A person's command arrives; false where the daemon is too busy for it.
+    /// A person's command arrives; false if the daemon is too busy to take it.
     pub fn command(&self, loop_name: &str, command: Command, answer: Answer) -> bool {
         let loop_name = loop_name.to_owned();
         self.control.try_send(Control::Command { loop_name, command, answer }).is_ok()
     }
 
-    /// The engine takes all that waits for it.
+    /// The engine takes everything that waits for it.
     pub fn turn(&mut self) {
         self.engine.turn(&self.incoming, &self.requests);
     }
@@ -223,20 +223,20 @@ impl SimDaemon {
             let answer = assessment.map(|assessment| request.answer(request.record(), assessment));
             let (id, seq, end_ns, took) = (request.id, request.seq, request.end_ns, Duration::ZERO);
             let _ = self.answers.send(Answered { id, seq, end_ns, arrival_ns, took, answer });
-            // The answer makes room for the next one in the schedule.
+            // The answer makes room for the next job from the schedule.
             self.engine.turn(&self.incoming, &self.requests);
         }
         most
     }
 
-    /// A person asks for a gap diagnosis, decided with earlier ones where `pool` says so; false where the daemon is too busy
-    /// for it.
+    /// A person requests a gap diagnosis, pooled with earlier ones if `pool` is set; false if the daemon is too busy to take
+    /// it.
     pub fn ask_gap(&self, loop_name: &str, by: &str, pool: bool, answer: Answer) -> bool {
         let (loop_name, by) = (loop_name.to_owned(), Some(by.to_owned()));
         self.control.try_send(Control::GapRun { loop_name, by, pool, answer }).is_ok()
     }
 
-    /// Does the gap diagnoses that wait, each given by `diagnose`; says how many.
+    /// Does the waiting gap diagnoses, each given by `diagnose`; returns their number.
     pub fn diagnose(&mut self, mut diagnose: impl FnMut(&GapRequest) -> Outcome) -> usize {
         let requests: Vec<GapRequest> = self.gap_requests.try_iter().collect();
         for request in &requests {
@@ -247,7 +247,7 @@ impl SimDaemon {
         requests.len()
     }
 
-    /// Does the comparison of loops that waits; says whether there was one.
+    /// Does the waiting comparison of loops; false if there was none.
     pub fn compare(&mut self) -> bool {
         let Ok(comparison) = self.comparisons.try_recv() else { return false };
         let _ = self.compared.send(compare(comparison, DAEMON_ID));
@@ -255,30 +255,30 @@ impl SimDaemon {
         true
     }
 
-    /// Gap diagnoses that wait.
+    /// Number of gap diagnoses that wait.
     #[must_use]
     pub fn gaps_waiting(&self) -> usize {
         self.gap_requests.len()
     }
 
-    /// Receivers get what waits for them, once it is in the store; says whether all of it is there.
+    /// Sends receivers their waiting documents once these are stored; true if all are stored.
     pub fn send_out(&mut self) -> bool {
         self.delivery.turn()
     }
 
-    /// Documents that wait for receivers.
+    /// Number of documents that wait for receivers.
     #[must_use]
     pub fn undelivered(&self) -> usize {
         self.delivery.waiting()
     }
 
-    /// Looks after the recording folder, as the retention worker does every half minute.
+    /// Maintains the recording folder, as the retention worker does every half minute.
     pub fn keep_folder(&mut self) {
         self.retention.keep();
         self.retention.check_all();
     }
 
-    /// Looks at what keeps loops from being judged, as the thread of data health does every minute.
+    /// Checks which obstacles keep loops from being judged, as the data-health thread does every minute.
     pub fn look_at_data(&mut self) {
         self.data_health.turn();
     }
@@ -289,29 +289,29 @@ impl SimDaemon {
         &self.overview
     }
 
-    /// The recorder writes what waits for it.
+    /// The recorder writes everything that waits for it.
     pub fn record(&mut self) {
         self.writer.turn();
     }
 
-    /// The store of states writes what waits for it, after that of documents; says whether it could.
+    /// The state store writes everything that waits for it, after the document store; true if it could.
     pub fn keep(&mut self) -> bool {
         self.delivery.store();
         self.keeping.turn()
     }
 
-    /// What has gone out since the last time.
+    /// Publications since the last call.
     pub fn published(&mut self) -> impl Iterator<Item = Publication> + '_ {
         std::iter::from_fn(|| self.publications.next_now()).filter(|p| p.document.is_some())
     }
 
-    /// Health as it is now.
+    /// The current health.
     pub fn health(&mut self) -> Arc<DaemonHealth> {
         self.engine.report(self.incoming.len());
         self.snapshot.read().unwrap_or_else(std::sync::PoisonError::into_inner).1.clone()
     }
 
-    /// The loops.
+    /// The engine, to read.
     #[must_use]
     pub const fn engine(&self) -> &Engine {
         self.engine.engine()
@@ -323,13 +323,13 @@ impl SimDaemon {
         &self.metrics
     }
 
-    /// What a person should look at.
+    /// The current faults.
     #[must_use]
     pub fn faults(&self) -> Vec<String> {
         self.faults.list()
     }
 
-    /// Bytes of messages that wait, states that wait for the store.
+    /// Bytes of waiting messages, and number of states waiting for the store.
     #[must_use]
     pub fn waiting(&self) -> (usize, usize) {
         (self.budget.used(), self.keeping.waiting())
@@ -342,8 +342,8 @@ impl SimDaemon {
         self.engine.remains()
     }
 
-    /// A configuration that was read again arrives, and is taken over with the next turn; says what differs in it. `None`
-    /// where it is refused: it changes what cannot change while the daemon runs, or the daemon is too busy for it.
+    /// A new configuration arrives, and is applied with the next turn; returns the changes. `None` if it is refused, because it
+    /// changes settings that cannot change at run time or the daemon is too busy.
     pub fn edit(&self, config: Config, text: &str) -> Option<ConfigChanges> {
         let changes = self.engine.config().changes_to(&config);
         let edit = Edit { config: Arc::new(config), text: text.to_owned(), changes: changes.clone() };
@@ -357,7 +357,7 @@ impl SimDaemon {
         &self.run_id
     }
 
-    /// Ends in order, as SIGTERM does. Gives what still went out.
+    /// Shuts down in order, as SIGTERM does. Returns the last publications.
     pub fn finish(&mut self) -> Vec<Publication> {
         self.engine.finish(&self.incoming, &self.requests, &self.answered);
         self.writer.turn();

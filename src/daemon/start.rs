@@ -1,4 +1,4 @@
-//! The first part of a run's start: reads what earlier runs left, opens the session, starts the threads that take results.
+//! The first part of a run's start: reads what earlier runs left, opens the session, starts the threads that consume results.
 
 use std::convert::Infallible;
 use std::future::{Future, pending};
@@ -36,9 +36,9 @@ use stiction_engine::config::Config;
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_files::lock::{FolderLock, LockError, LockedDisk, SharedLock};
 
-/// How long a router may take to answer before that is a fault.
+/// How long a router may take to respond before that is a fault.
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
-/// How often a long start says that it goes on.
+/// How often a long start reports that it continues.
 const STARTING_EVERY: Duration = Duration::from_secs(5);
 /// Note on the page of a demonstration.
 const SIMULATED: &str =
@@ -68,7 +68,7 @@ impl Shared {
         }
     }
 
-    /// What the server shows, and its ways to the engine and to the configuration's file.
+    /// The data for the server, with access to the engine and to the configuration file.
     pub(super) fn view(&self, origin: &str, control: Sender<Control>) -> View {
         let web = &self.current.get().web;
         View {
@@ -83,23 +83,23 @@ impl Shared {
     }
 }
 
-/// The health of a daemon that starts.
+/// The health of a daemon that is starting.
 fn starting(id: &str, config: &Config) -> (Instant, Arc<DaemonHealth>) {
     (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())))
 }
 
-/// What is open before the threads start.
+/// Results of the first steps, before the threads start.
 pub(super) struct Opened {
     pub restored: Restored,
     pub session: zenoh::Session,
-    /// Why the session does not listen, where it does not.
+    /// Why the session does not listen, if it does not.
     pub deaf: Option<String>,
     pub daemon_id: String,
     pub input: (Budget, Shares),
     pub subscriptions: Subscriptions,
 }
 
-/// Reads what earlier runs left, opens the session and subscribes; `None` where the daemon is stopped before.
+/// Reads what earlier runs left, opens the session and subscribes; `None` if the daemon is stopped first.
 pub(super) async fn open(
     config: &Config,
     shared: &Shared,
@@ -147,12 +147,12 @@ pub(super) async fn refill(
     unless_stopped(reading, ask_for_patience(&shared.faults, &shared.snapshot), stop).await
 }
 
-/// Whether a run goes on from what earlier ones left. A demonstration starts afresh.
+/// Whether a run continues from earlier ones. A demonstration starts from nothing.
 fn goes_on(origin: &str) -> bool {
     origin == "run"
 }
 
-/// Waits for `work` and runs `meanwhile` beside it; `None` if the daemon is stopped first.
+/// Waits for `work` and runs `meanwhile` at the same time; `None` if the daemon is stopped first.
 pub(super) async fn unless_stopped<T>(
     work: impl Future<Output = T>,
     meanwhile: impl Future<Output = Infallible>,
@@ -165,18 +165,18 @@ pub(super) async fn unless_stopped<T>(
     }
 }
 
-/// Handles of the threads that take the engine's results.
+/// Handles of the threads that consume the engine's results.
 pub(super) struct Sinks {
     pub recorder: Recorder,
-    /// None in a demonstration.
+    /// `None` in a demonstration.
     pub state_writer: Option<StateWriter>,
     pub publisher: Publisher,
     pub outbox: Option<Outbox>,
-    /// Dropped, they end the threads that have no queue.
+    /// Dropping them ends the threads that have no queue.
     pub stops: [Sender<()>; 2],
 }
 
-/// Starts recorder, publisher, store of states, retention, delivery and data health.
+/// Starts recorder, publisher, state store, retention, delivery and data health.
 pub(super) fn threads(
     config: &Config,
     shared: &Shared,
@@ -236,9 +236,9 @@ pub(super) fn threads(
     Ok((threads, Sinks { recorder, state_writer, publisher, outbox, stops: [stop_retention, stop_summaries] }))
 }
 
-/// Reads the memory of earlier runs on a separate thread: it may take minutes where the store is gone and recordings
-/// are large, and the daemon must hear signals meanwhile. Given up half way it leaves nothing half done, and whatever it
-/// stumbles over, the daemon starts.
+/// Reads the memory of earlier runs on a separate thread: this may take minutes if the store is missing and the recordings are
+/// large, and the daemon must handle signals meanwhile. It can be abandoned at any point without harm, and the daemon starts
+/// whatever it finds.
 async fn restore_in_background(config: &Config, faults: &Arc<Faults>, metrics: &Arc<Metrics>) -> Restored {
     let (dir, prefix) = (PathBuf::from(&config.recording.dir), config.site.prefix.clone());
     let (faults, metrics) = (faults.clone(), metrics.clone());
@@ -265,8 +265,7 @@ async fn refill_in_background(config: &Config, runs: &OwnRuns, faults: &Arc<Faul
     })
 }
 
-/// While earlier runs are read: says so in the health document, and keeps the system from taking the start for one that
-/// hangs. Never ends.
+/// While earlier runs are read: reports this in the health document, and extends the system's start timeout. Never returns.
 async fn ask_for_patience(faults: &Faults, snapshot: &HealthSnapshot) -> Infallible {
     let until_next = u32::try_from((3 * STARTING_EVERY).as_micros()).unwrap_or(u32::MAX);
     loop {
@@ -280,7 +279,7 @@ async fn ask_for_patience(faults: &Faults, snapshot: &HealthSnapshot) -> Infalli
     }
 }
 
-/// Puts the faults of a daemon whose engine does not run yet into its health document.
+/// Shows faults in the health document before the engine runs.
 fn show_faults(faults: &Faults, snapshot: &HealthSnapshot) {
     if let Ok(mut snapshot) = snapshot.write() {
         let health = DaemonHealth { faults: faults.list(), ..(*snapshot.1).clone() };
@@ -288,8 +287,8 @@ fn show_faults(faults: &Faults, snapshot: &HealthSnapshot) {
     }
 }
 
-/// While a client waits for its router, which may be for ever: says so among the faults and to the system, whose watchdog
-/// would else end a daemon that has nothing to do. Never ends.
+/// While a client waits for its router, possibly for ever: reports a fault, and feeds the system's watchdog, which would
+/// otherwise end the idle daemon. Never returns.
 async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) -> Infallible {
     tokio::time::sleep(ROUTER_WITHIN).await;
     faults.raise("bus", "not connected to the bus: no router answers; retrying");
@@ -302,7 +301,7 @@ async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) -> Infallib
     }
 }
 
-/// Makes the folder and locks it against a second daemon, on a separate thread; `None` if the daemon is stopped while the
+/// Creates the folder and locks it against a second daemon, on a separate thread; `None` if the daemon is stopped while the
 /// disk hangs.
 pub(super) async fn lock(
     shared: &Shared,
@@ -316,7 +315,7 @@ pub(super) async fn lock(
     }
 }
 
-/// Where the disk refuses, the daemon goes on without.
+/// If the disk refuses, the daemon continues without a lock.
 fn lock_folder(dir: &Path, faults: &Faults) -> anyhow::Result<Option<FolderLock>> {
     let made = std::fs::create_dir_all(dir);
     match FolderLock::take(dir) {

@@ -1,4 +1,4 @@
-//! What people ask of the engine: commands on alarms, and gap diagnoses with their answers.
+//! Requests from people: commands on alarms, and gap diagnoses with their answers.
 
 use super::super::gaps::{self, Diagnosed, Outcome};
 use super::{EngineThread, to_json};
@@ -11,17 +11,18 @@ use stiction_engine::engine::{
 };
 
 impl EngineThread {
-    /// Carries a command out. The answer says that its effect is on the disk, and the document for receivers too: a crash
-    /// after it changes nothing.
+    /// Carries out a command. The reply is sent only after the effect and the document for receivers are on disk, so a crash
+    /// after the reply loses nothing.
     pub(super) fn take_command(&mut self, loop_name: &str, command: &Command, answer: Answer) {
         // The daemon of the loop's shard answers.
         if !self.config.shard.owns(loop_name) {
             return;
         }
-        // A loop that is not there costs nobody's rate.
+        // Commands for unknown loops do not use up the rate.
         let has_left = self.loops.engine.has_left(loop_name);
         let known = self.loops.engine.find(loop_name).is_some() || has_left;
-        // One that left obeys whether or not there is a place for it, and goes again where there is none.
+        // A loop that has left accepts commands even if there is no place for it; without a place it is forgotten again at
+        // once.
         let is_guest = has_left && !self.loops.engine.has_place_for(loop_name);
         self.answer_command((loop_name, known), command, answer);
         if is_guest && let Some(id) = self.loops.engine.find(loop_name) {
@@ -78,7 +79,7 @@ impl EngineThread {
         Ok((id, document))
     }
 
-    /// Hands out a loop's history; whoever asked cuts the window.
+    /// Hands out a loop's history; the caller cuts the window.
     pub(super) fn get_window(
         &self,
         loop_name: &str,
@@ -91,12 +92,12 @@ impl EngineThread {
         }));
     }
 
-    /// The part of a loop's state that outlives a restart.
+    /// The part of a loop's state that survives a restart.
     pub(super) fn memory(&self, id: LoopId) -> Checkpoint {
         Checkpoint { stream: None, ..self.loops.engine.checkpoint(id) }
     }
 
-    /// A person asks for a diagnosis. Who asks while one is under way is answered with that one.
+    /// Starts a diagnosis for a person. If one is already running for the loop, the person gets its answer.
     pub(super) fn run_gap(&mut self, loop_name: &str, by: Option<String>, pool: bool, answer: Answer) {
         if !self.config.shard.owns(loop_name) {
             return;
@@ -105,7 +106,7 @@ impl EngineThread {
             return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
         }
         let Some(id) = self.loops.engine.find(loop_name).filter(|id| !self.loops.removed.contains(id)) else {
-            // Of one that left no sample is held.
+            // For a loop that has left, no samples are held.
             let why = if self.loops.engine.has_left(loop_name) {
                 GapRefusal::TooShort { points: 0, needed: MIN_POINTS }
             } else {
@@ -153,7 +154,7 @@ impl EngineThread {
         answer(Err(why.to_owned()));
     }
 
-    /// Starts a diagnosis with the loops that may act on its loop as neighbours, and records all it is given.
+    /// Starts a diagnosis with all loops that may influence this one as neighbours, and records its inputs.
     pub(super) fn request_gap(&mut self, mut request: GapRequest) {
         let (id, number) = (request.id, request.number);
         let neighbours = self.loops.engine.neighbours_of(&request);

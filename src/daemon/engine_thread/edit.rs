@@ -1,4 +1,4 @@
-//! An edit of the configuration while the daemon runs: it adds, changes and removes loops and leaves all others alone.
+//! Applies an edit of the configuration at run time: adds, changes and removes loops, and leaves all others alone.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -13,8 +13,8 @@ use stiction_engine::config::Config;
 use stiction_engine::engine::{LoopId, RecordedInput, StateDocument};
 
 impl EngineThread {
-    /// Takes an edit over between two messages. Every open recording is finished; the next ones begin under the new
-    /// configuration, which is how a replay knows of the edit.
+    /// Applies an edit between two messages. All open recordings are closed; the next ones start under the new configuration,
+    /// from which a replay learns of the edit.
     pub(super) fn edit(&mut self, edit: Edit) {
         let Edit { config, text, changes } = edit;
         self.inputs.policy = CommandPolicy::new(&config.commands);
@@ -49,7 +49,7 @@ impl EngineThread {
         self.reopen_segments();
     }
 
-    /// Shows the new settings of changed loops in metrics and page.
+    /// Updates the settings of changed loops in the metrics and on the page.
     fn describe(&mut self, changed: &[LoopId]) {
         if let Some(board) = &mut self.outputs.board {
             board.name_loops(&self.config);
@@ -65,7 +65,8 @@ impl EngineThread {
         }
     }
 
-    /// Forgets removed loops that have no work under way, as loops that have left; their alarms end first.
+    /// Forgets removed loops once no work is under way for them. Their alarms end first, and they then count as loops that have
+    /// left.
     pub(super) fn forget_removed(&mut self) {
         if self.loops.removed.is_empty() {
             return;

@@ -1,9 +1,9 @@
-//! The engine's thread: takes what arrives in order, and is the only one that touches the engine.
+//! The engine's thread. It takes what arrives in order, and no other thread touches the engine.
 //!
-//! A sample passes four stages before the engine: `source` takes the message off the bus and bounds the queue, [`router`]
-//! finds its loop and decodes it, [`super::limits`] refuses what is too fast or too far ahead, and the recorder keeps it.
-//! What the engine puts out goes on in [`outputs`]. The thread never waits for a fit and never for the bus, whose readers
-//! and askers have their own threads; for the recorder it waits a little (see [`crate::daemon::sink::recorder`]).
+//! A sample passes four stages before the engine: `source` takes the message off the bus and bounds the queue, [`router`] finds
+//! its loop and decodes it, [`super::limits`] refuses what is too fast or too far ahead, and the recorder keeps it. [`outputs`]
+//! passes on what the engine produces. The thread never waits for a fit or for the bus, whose readers and requests have their
+//! own threads; it waits briefly for the recorder (see [`crate::daemon::sink::recorder`]).
 
 mod asked;
 mod edit;
@@ -58,13 +58,13 @@ use stiction_engine::codec::topic::Kind;
 use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, Event, LoopId, SkipReason};
 
-/// Messages taken before the other channels are looked at again.
+/// Messages taken before the other channels are checked again.
 const BATCH: usize = 256;
-/// Requests taken before the samples are.
+/// Requests taken before the next batch of samples.
 const REQUESTS: usize = 64;
-/// How long that may take: a message may hold a hundred thousand samples.
+/// Time limit of a batch: one message may hold a hundred thousand samples.
 const BATCH_WITHIN: Duration = Duration::from_millis(20);
-/// How long a stopping daemon still takes what had already arrived.
+/// How long a stopping daemon still processes what has already arrived.
 const DRAIN: Duration = Duration::from_secs(1);
 
 /// Everything the engine's thread owns.
@@ -81,7 +81,7 @@ pub struct EngineThread {
     health_every: Duration,
 }
 
-/// What leads from a message to a loop, and what may not pass.
+/// Everything that takes a message to its loop or refuses it.
 struct Inputs {
     routes: Routes,
     bundles: Bundles,
@@ -92,12 +92,12 @@ struct Inputs {
     codec_counters: Vec<(&'static str, Counter)>,
     /// Messages taken.
     taken: u64,
-    /// When the sample arrived that is being taken, ns.
+    /// Arrival time of the sample being processed, ns.
     arrival_ns: i64,
-    /// Room for the samples of a message.
+    /// Reused buffer for the samples of a message.
     samples: Vec<Sample>,
     limits: Limits,
-    /// The loop whose stamp was refused last for being ahead, and by how much it was, ns.
+    /// The last loop with a stamp refused for being ahead of time, and by how much it was ahead, ns.
     ahead: Option<(LoopId, i64)>,
     input_limit: usize,
     budget: Budget,
@@ -105,61 +105,61 @@ struct Inputs {
     policy: CommandPolicy,
 }
 
-/// The loops, and what is computed for them elsewhere.
+/// The loops, and the work under way for them elsewhere.
 struct Loops {
     engine: Engine,
     events: Vec<Event>,
     workers: Workers,
     /// Windows that wait for a worker.
     schedule: Schedule<Job>,
-    /// Looks at all loops, a part at a time.
+    /// Visits all loops, some at a time.
     sweep: sweep::Sweep,
     registered: sweep::Registered,
-    /// Loops that were removed from the configuration and still have work under way.
+    /// Loops removed from the configuration that still have work under way.
     removed: BTreeSet<LoopId>,
     diagnoser: Diagnoser,
-    /// The loops together; none where they are not compared.
+    /// Compares the loops with each other; `None` if this is switched off.
     plant: Option<plant::Plant>,
-    /// People who wait for a diagnosis, by loop and number.
+    /// People waiting for a diagnosis, by loop and number.
     asking: HashMap<(LoopId, u64), Vec<Answer>>,
 }
 
-/// Who takes what the engine puts out.
+/// Consumers of what the engine produces.
 struct Outputs {
     recorder: Option<Recorder>,
     state_writer: Option<StateWriter>,
     publisher: Publisher,
     outbox: Option<Outbox>,
-    /// Which loops have series in the metrics; none where they have none.
+    /// Which loops have series in the metrics; `None` if no loop has any.
     board: Option<LoopMetrics>,
     /// The page's data; `None` without a page.
     overview: Option<Overview>,
     snapshot: HealthSnapshot,
-    /// Losses at the last report.
+    /// Loss counters at the last report.
     losses: [u64; 9],
 }
 
-/// What the engine's thread starts with.
+/// Inputs of the engine's thread.
 pub struct Parts {
     /// The configuration.
     pub config: Arc<Config>,
-    /// The engine, which runs under it.
+    /// The engine, under the same configuration.
     pub engine: Engine,
-    /// Bytes that wait for the engine, and what each key may hold of its queue.
+    /// Byte budget of the input queue, and the share of it that each key may hold.
     pub input: (Budget, Shares),
     /// The workers.
     pub workers: Workers,
-    /// The gap's thread.
+    /// The thread that runs gap diagnoses.
     pub diagnoser: Diagnoser,
-    /// Compares the loops; none where the configuration says so.
+    /// Compares the loops with each other; `None` if the configuration switches this off.
     pub comparer: Option<Comparer>,
     /// The recorder.
     pub recorder: Option<Recorder>,
-    /// Keeps the loops' memory; none in a demonstration.
+    /// Stores the loops' memory; `None` in a demonstration.
     pub state_writer: Option<StateWriter>,
     /// The publisher.
     pub publisher: Publisher,
-    /// The way to receivers outside the bus; none where there are none.
+    /// Sends to receivers outside the bus; `None` if none is configured.
     pub outbox: Option<Outbox>,
     /// The counters.
     pub metrics: Arc<Metrics>,
@@ -167,18 +167,18 @@ pub struct Parts {
     pub faults: Arc<Faults>,
     /// The page's data; `None` without a page.
     pub overview: Option<Overview>,
-    /// Where the health goes.
+    /// Where the health is published.
     pub snapshot: HealthSnapshot,
     /// The daemon's id.
     pub daemon_id: String,
     /// The time.
     pub clock: Clock,
-    /// How often the health documents are made.
+    /// How often the health documents are written.
     pub health_every: Duration,
 }
 
 impl EngineThread {
-    /// Puts the parts together.
+    /// A thread with these parts, not yet started.
     #[must_use]
     pub fn new(parts: Parts) -> Self {
         let config = parts.config.as_ref();
@@ -241,8 +241,8 @@ impl EngineThread {
         }
     }
 
-    /// Takes over what the runs before remembered of their loops, and publishes the alarms that are not at rest. Loops whose
-    /// windows go on have their places already, then come those that were answered last; the others wait for theirs.
+    /// Restores what earlier runs remembered of their loops, and publishes the alarms that are not normal. Loops whose windows
+    /// continue already have places; the rest get places in order of their last answer until none are left.
     pub fn restore(&mut self, memories: Memories, last: BTreeMap<String, LastSeen>) {
         let Memories { there, left, removed } = memories;
         let mut there: Vec<_> = there.into_iter().map(|(name, memory)| (name, memory, false)).collect();
@@ -271,7 +271,7 @@ impl EngineThread {
         self.show_last(last);
     }
 
-    /// Shows what was heard of each loop last: silence goes on over a restart.
+    /// Shows when each loop was last heard, so that silence counts on over a restart.
     fn show_last(&self, last: BTreeMap<String, LastSeen>) {
         let Some(overview) = &self.outputs.overview else { return };
         let (now, now_ns) = (self.clock.now(), self.clock.now_ns());
@@ -285,14 +285,14 @@ impl EngineThread {
         }
     }
 
-    /// Works until `stop` is closed, then ends in order: what has arrived is taken, fits that are not done are skipped
-    /// and recorded as such, files are finished when the core is dropped.
+    /// Runs until `stop` is closed, then shuts down in order: takes what has arrived, and skips unfinished fits and records
+    /// them as skipped. The files are closed when the recorder is dropped.
     pub fn run(mut self, incoming: &Receiver<Message>, control: &Receiver<Control>, stop: &Receiver<()>) {
         let (ticker, sweeps) = (tick(self.health_every), tick(sweep::EVERY));
         let answers = self.loops.workers.answers.clone();
         let diagnoses = self.loops.diagnoser.answers.clone();
         let comparisons = self.loops.plant.as_ref().map_or_else(never, |plant| plant.answers().clone());
-        // A watchdog is fed from here, so that a blocked engine starves it.
+        // The watchdog is fed here, so that a blocked engine triggers it.
         let watchdog = sd_notify::watchdog_enabled().map_or_else(never, |period| tick(period / 2));
         let rotations = self.outputs.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
         self.begin(incoming.len());
@@ -320,18 +320,18 @@ impl EngineThread {
             }
         }
         self.finish(incoming, control, &answers);
-        // The recorder has the most to do after that: it begins before a hundred thousand loops are given back.
+        // Closing the files takes longest, so start it before the memory of up to a hundred thousand loops is freed.
         self.outputs.recorder = None;
     }
 
-    /// Opens the files and sends a first report, before any message is taken.
+    /// Opens the files and sends a first report before any message is taken.
     pub fn begin(&mut self, input_waiting: usize) {
         self.register_all();
         self.forget_removed();
         self.report(input_waiting);
     }
 
-    /// Takes all that waits, in a fixed order: for whoever drives the core without threads.
+    /// Processes everything that waits, in a fixed order, for a caller that runs this without threads.
     pub fn turn(&mut self, incoming: &Receiver<Message>, control: &Receiver<Control>) {
         let answers = self.loops.workers.answers.clone();
         while let Ok(answered) = answers.try_recv() {
@@ -355,7 +355,7 @@ impl EngineThread {
         }
     }
 
-    /// The loops.
+    /// The engine, to read.
     pub const fn engine(&self) -> &Engine {
         &self.loops.engine
     }
@@ -365,7 +365,7 @@ impl EngineThread {
         &self.config
     }
 
-    /// Ends in order: what has arrived is taken, what is not done is skipped and recorded as such.
+    /// Shuts down in order: takes what has arrived, and skips unfinished work and records it as skipped.
     pub fn finish(&mut self, incoming: &Receiver<Message>, control: &Receiver<Control>, answers: &Receiver<Answered>) {
         let until = self.clock.now() + DRAIN;
         self.take_control(control);
@@ -409,7 +409,7 @@ impl EngineThread {
         }
     }
 
-    /// Takes requests that wait, before each batch of samples: neither holds up the other.
+    /// Takes waiting requests before each batch of samples, so that neither holds up the other.
     fn take_control(&mut self, control: &Receiver<Control>) {
         control.try_iter().take(REQUESTS).for_each(|request| self.handle(request));
     }
@@ -443,15 +443,15 @@ impl EngineThread {
     }
 }
 
-/// Tells systemd, where it listens; elsewhere nothing.
+/// Notifies systemd if it started the daemon; otherwise does nothing.
 pub(super) fn notify_system(state: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(state) {
         tracing::debug!(%error, "systemd could not be notified");
     }
 }
 
-/// A document's JSON, UTF-8. None where it cannot be written, which is an error of this program: it is logged, and nothing
-/// takes the document's place.
+/// Serializes a document as UTF-8 JSON. `None` if that fails, which is a bug in this program: it is logged, and nothing is sent
+/// instead.
 #[must_use]
 pub fn to_json(document: &impl serde::Serialize) -> Option<Vec<u8>> {
     let json = serde_json::to_vec(document);

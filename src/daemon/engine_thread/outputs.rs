@@ -1,4 +1,4 @@
-//! Where what the engine puts out goes: workers, recorder, publisher, receivers, page.
+//! Passes on what the engine produces: to workers, recorder, publisher, receivers and page.
 
 use std::sync::Arc;
 
@@ -85,7 +85,7 @@ impl EngineThread {
         board.alarm(&self.metrics.series, &name, place, document);
     }
 
-    /// Publishes what a window gave, to receivers outside the bus too.
+    /// Publishes the result of a window, also to receivers outside the bus.
     pub(super) fn publish_result(&self, id: LoopId, kind: Kind, end_ns: i64, document: &impl serde::Serialize) {
         let Some(json) = to_json(document) else { return };
         if let Some(outbox) = self.outputs.outbox.as_ref().filter(|outbox| outbox.wants(kind)) {
@@ -111,19 +111,19 @@ impl EngineThread {
         self.outputs.publisher.publish(Publication { key, kind, document: Some(json) });
     }
 
-    /// Keeps a loop's state over a restart.
+    /// Stores a loop's state for the next start.
     pub(super) fn keep(&self, state: &StateDocument) {
         if let (Some(state_writer), Some(json)) = (&self.outputs.state_writer, to_json(state)) {
             state_writer.keep(&state.loop_name, json);
         }
     }
 
-    /// Begins a new file of each segment that has loops.
+    /// Starts a new file for each segment that has loops.
     pub(super) fn reopen_segments(&mut self) {
         self.loops.registered.segments.clone().into_iter().for_each(|segment| self.open_segment(segment));
     }
 
-    /// Begins a new file of a segment; one whose loops have left needs none.
+    /// Starts a new file for a segment, unless all of its loops have left.
     pub(super) fn open_segment(&mut self, segment: usize) {
         let Some(recorder) =
             self.outputs.recorder.as_mut().filter(|_| self.loops.registered.segments.contains(&segment))

@@ -1,5 +1,5 @@
-//! Groups of loops that share one oscillation: windows go to the comparer, its answers to the bus, the recording and the
-//! loops' own alarms.
+//! Groups of loops that share one oscillation. Passes windows to the comparer, and its answers to the bus, the recording and
+//! the loops' alarms.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -12,18 +12,18 @@ use stiction::core::plantwide::GroupDocument;
 use stiction_engine::codec::topic::{self, Kind, PLANT};
 use stiction_engine::engine::{Comparison, GroupStanding, LoopId, LoopWindow, PlantWatch, RecordedInput};
 
-/// The newest windows, and who compares them.
+/// The newest windows, and the thread that compares them.
 pub(super) struct Plant {
     pub(super) watch: PlantWatch,
     /// The loop whose window came last.
     last: Option<LoopId>,
     comparer: Comparer,
     is_comparing: bool,
-    /// The newest comparison that came due meanwhile.
+    /// The newest comparison that came due while one was running.
     next: Option<Comparison>,
-    /// Keys of the groups that are published.
+    /// Keys of the published groups.
     shown: BTreeSet<String>,
-    /// Loops that have an answer of a group.
+    /// Loops that carry a group's answer.
     members: BTreeSet<Arc<str>>,
 }
 
@@ -60,11 +60,11 @@ impl EngineThread {
         }
     }
 
-    /// Orders the comparison that is due, if one is; it starts when the one before is done.
+    /// Requests a comparison if one is due; it starts when the previous one is finished.
     pub(super) fn compare_when_due(&mut self) {
         let Some(plant) = &mut self.loops.plant else { return };
         let Some(due) = plant.watch.due() else { return };
-        // The file of one of the loops holds all of a comparison.
+        // A comparison is recorded as a whole in the file of one of its loops.
         let Some(id) = due.loops().find_map(|name| self.loops.engine.find(name)).or(plant.last) else { return };
         let input = RecordedInput::Comparing { windows: due.digest() };
         self.metrics.comparisons_due.inc();
@@ -75,7 +75,7 @@ impl EngineThread {
         self.record_of_plant(id, PLANT, Kind::Input, &input, 0);
     }
 
-    /// Takes the groups that a comparison found: records and publishes them, and tells each loop.
+    /// Takes the groups of a finished comparison: records and publishes them, and informs each loop.
     pub(super) fn compared(&mut self, compared: Compared) {
         let Compared { comparison, groups, misplaced, took } = compared;
         self.metrics.comparison.0.observe(took.as_secs_f64());
@@ -128,7 +128,7 @@ impl EngineThread {
         }
     }
 
-    /// Gives the members their groups' answers, and withdraws those of loops that are members no more.
+    /// Gives the members their groups' answers, and withdraws them from loops that are no longer members.
     fn give_standings(&mut self, groups: &[GroupDocument]) {
         let engine = &self.loops.engine;
         let standings = groups.iter().flat_map(|group| GroupStanding::of_members(group, |name| engine.alarms(name)));
@@ -153,7 +153,7 @@ impl EngineThread {
         self.loops.engine.stand(id, standing);
     }
 
-    /// Records a document of many loops in the file of one of them.
+    /// Records a document about many loops in the file of one of them.
     fn record_of_plant(&mut self, id: LoopId, name: &str, kind: Kind, document: &impl serde::Serialize, event_ns: i64) {
         let (Some(recorder), Some(json)) = (&mut self.outputs.recorder, to_json(document)) else { return };
         recorder.record(Item::Document { id, name: name.into(), kind, json, event_ns });

@@ -19,19 +19,19 @@ use stiction::core::units::s_from_ns;
 use stiction_engine::codec::topic::{self, Kind};
 use stiction_engine::engine::StateDocument;
 
-/// Reports over which the loops' own health is spread: each loop's comes once a minute.
+/// Number of reports over which the loops' health documents are spread: each loop's comes once a minute.
 const LOOP_HEALTH_SLICES: usize = 12;
-/// How long a loss stays among the faults after it has ended.
+/// How long a loss remains among the faults after the last one.
 const LOSS_SHOWN: Duration = Duration::from_secs(60);
 /// Name of the fault while the recording disk hangs or is too slow.
 const STALL: &str = "recording stalls";
-/// Name of the fault while the disk hangs and documents go to receivers without being stored.
+/// Name of the fault while the disk hangs and documents go to receivers without being stored first.
 const UNSTORED: &str = "delivery unstored";
-/// What has stopped then, in the health document.
+/// Name of the recording among the stopped parts in the health document.
 const RECORDING: &str = "recording";
 
 impl EngineThread {
-    /// Publishes the health of the daemon, and where there are few loops from time to time that of each.
+    /// Publishes the daemon's health and, if there are few loops, a share of the loops' health.
     pub fn report(&mut self, input_waiting: usize) {
         let loops = self.loops.engine.count();
         self.metrics.loops.set(loops as i64);
@@ -53,7 +53,7 @@ impl EngineThread {
         }
     }
 
-    /// Raises a fault for what was lost since the last report; it clears some time after the last loss.
+    /// Raises a fault for losses since the last report; it clears some time after the last loss.
     fn report_losses(&mut self) {
         let m = &self.metrics;
         let now = [
@@ -95,7 +95,7 @@ impl EngineThread {
         self.outputs.losses = now;
     }
 
-    /// A store that does not answer holds up neither documents nor those who ask.
+    /// Raises a fault if a store does not respond. Neither documents nor replies wait for it.
     fn watch_stores(&self) {
         match self.outputs.outbox.as_ref().and_then(Outbox::stall) {
             Some(why) => self.faults.raise(UNSTORED, why),
@@ -106,7 +106,7 @@ impl EngineThread {
         }
     }
 
-    /// Where the store was taken away under the daemon, every loop's memory goes into the new one.
+    /// If the store was replaced while the daemon runs, writes every loop's memory to the new one.
     fn keep_all_again(&self) {
         if !self.outputs.state_writer.as_ref().is_some_and(StateWriter::wants_all) {
             return;
@@ -120,7 +120,7 @@ impl EngineThread {
         }
     }
 
-    /// What has stopped, which makes `/healthz` answer 503.
+    /// The parts that have stopped; if there are any, `/healthz` answers 503.
     fn stopped(&mut self) -> Vec<&'static str> {
         let Some(recorder) = &mut self.outputs.recorder else { return Vec::new() };
         let stall = recorder.stall();

@@ -1,4 +1,4 @@
-//! From a message to the engine: which loop it belongs to, what it says, whether it may pass.
+//! Takes a message to the engine: finds its loop, decodes it, and checks whether it may pass.
 
 use std::time::Duration;
 
@@ -15,12 +15,12 @@ use stiction::core::units::s_from_ns;
 use stiction_engine::codec::{self, Bundle, CodecError};
 use stiction_engine::engine::LoopId;
 
-/// How long a change of sources stays among the faults, and how long two sources of one signal do after the last value.
+/// How long a change of sources, and two sources of one signal after the last value, remain among the faults.
 const CHANGE_SHOWN: Duration = Duration::from_secs(3600);
 const CONTEST_SHOWN: Duration = Duration::from_secs(60);
-/// A time further from the clock is not the present in another unit, ns.
+/// A stamp this close to the clock when read in another unit is assumed to be in that unit, ns.
 const NEAR_NS: i128 = 30 * 86_400 * 1_000_000_000;
-/// Every nth message is timed.
+/// One message in this many is timed.
 const TIMED: u64 = 8;
 
 impl EngineThread {
@@ -96,7 +96,7 @@ impl EngineThread {
         false
     }
 
-    /// How long the message was on its way here, looked at now and then: the clock and the histogram cost more than the rest.
+    /// Measures how long a message took to get here, for some messages only: clock and histogram cost more than the rest.
     fn time_intake(&mut self, m: &Message) {
         if self.inputs.taken.is_multiple_of(TIMED) {
             let waited_ns = self.clock.now_ns().saturating_sub(m.bus_ns.unwrap_or(m.arrival_ns));
@@ -105,7 +105,7 @@ impl EngineThread {
         self.inputs.taken += 1;
     }
 
-    /// A payload with several signals.
+    /// Takes a payload with several signals.
     fn take_bundle(&mut self, m: &Message, codec: &str) {
         let fallback_t_ns = m.bus_ns.unwrap_or(m.arrival_ns);
         let bundle = Bundle { key: m.buf.key(), payload: m.buf.payload(), fallback_t_ns };
@@ -138,7 +138,7 @@ impl EngineThread {
         }
     }
 
-    /// A key in other letters than usual may have another beside it that means the same signal: two sources.
+    /// Two keys that differ only in upper and lower case name the same signal, so they count as two sources of it.
     fn watch_respelled(&mut self, id: LoopId, signal: Signal, key: &str, t_ns: i64) {
         if !self.inputs.feeds.is_watched((id, signal))
             && let Some(first) = self.inputs.routes.respelled(key)
@@ -147,7 +147,7 @@ impl EngineThread {
         }
     }
 
-    /// Whether a signal is taken from this source; a change of sources and two that both send are named.
+    /// Whether this source feeds the signal. Raises a fault if the source changes or if two sources send at once.
     fn is_fed_by(&mut self, id: LoopId, signal: Signal, source: &str, t_ns: i64) -> bool {
         let feed = self.inputs.feeds.feed((id, signal), source, self.inputs.taken, t_ns);
         let what = || format!("{} {}", self.loops.engine.name(id).escape_debug(), signal.name());
@@ -169,7 +169,7 @@ impl EngineThread {
         true
     }
 
-    /// Two sensors that write to one key are named.
+    /// Raises a fault if two sensors write to the same key.
     fn watch_senders(&mut self, id: LoopId, m: &Message, sample: &Sample) {
         let Some(doubt) = self.inputs.senders.hear(id, m.sender, sample) else { return };
         let shown = match doubt {
@@ -182,7 +182,7 @@ impl EngineThread {
         self.faults.raise_for("two senders", text, CONTEST_SHOWN);
     }
 
-    /// Where a route leads; what leads nowhere is counted.
+    /// Loop and signal of a route; messages without a route are counted.
     fn admitted(&self, route: Route) -> Option<(LoopId, Signal)> {
         match route {
             Route::To(id, signal) if !self.loops.removed.contains(&id) => return Some((id, signal)),
@@ -198,7 +198,7 @@ impl EngineThread {
     }
 
     fn count_codec(&mut self, name: &'static str) {
-        // The counters are at hand: to look one up by its label would take memory for every message.
+        // Kept ready, since looking a counter up by its label would allocate for every message.
         if let Some((_, counter)) = self.inputs.codec_counters.iter().find(|(known, _)| *known == name) {
             counter.inc();
             return;
@@ -208,7 +208,7 @@ impl EngineThread {
         self.inputs.codec_counters.push((name, counter));
     }
 
-    /// A time that is near the clock in another unit than ns names that unit.
+    /// Names the unit if a stamp read in a unit other than ns is close to the clock.
     fn watch_unit(&self, m: &Message, t_ns: i64) {
         let near = |ns: i128| (ns - i128::from(m.arrival_ns)).abs() < NEAR_NS;
         if near(i128::from(t_ns)) || t_ns <= 0 {

@@ -1,5 +1,5 @@
-//! Looks at all loops a part at a time, so that a hundred thousand of them never hold up a sample: figures, health, and
-//! who has left the plant. Registers those that are new or come back.
+//! Visits all loops some at a time, so that even a hundred thousand of them never hold up a sample: collects figures and
+//! health, and forgets loops that have left the plant. Registers loops that are new or come back.
 
 use std::collections::{BTreeSet, HashSet};
 use std::time::Duration;
@@ -14,43 +14,43 @@ use stiction_engine::alarm::{Alarm, State};
 use stiction_engine::codec::topic::{self, Kind};
 use stiction_engine::engine::{Checkpoint, GapWatch, LoopId, RecordedInput, StateDocument};
 
-/// How often a part of the loops is looked at.
+/// Interval between two steps of the sweep.
 pub(super) const EVERY: Duration = Duration::from_millis(50);
-/// Parts of a round: each loop is looked at every five seconds.
+/// Steps of a round: each loop is visited every five seconds.
 const PARTS: usize = 100;
-/// Parts over which the loops' own health is spread: each loop's comes once a minute...
+/// Steps over which the loops' health documents are spread: each loop's comes once a minute...
 const HEALTH_PARTS: usize = 1200;
-/// ... as long as that is not more documents at a time than this: a thousand a second.
+/// ... provided that is at most this many documents a step, a thousand a second.
 const HEALTH_AT_ONCE: usize = 50;
-/// Loops up to which all are looked at with each report.
+/// Up to this many loops, all are visited with each report.
 const FEW: usize = 2000;
-/// Loops that are forgotten in a round at most.
+/// Most loops forgotten in one round.
 const FORGET_AT_ONCE: usize = 1000;
-/// Documents under which queries find a loop.
+/// Kinds of documents under which queries find a loop.
 const KINDS: [Kind; 4] = [Kind::Estimate, Kind::Gap, Kind::Health, Kind::Alarm];
 
-/// Progress of the current round, and its sums so far.
+/// Progress of the current round, and its totals so far.
 #[derive(Debug, Default)]
 pub(super) struct Sweep {
     next: usize,
     next_health: usize,
     sum: AlignCounts,
     bytes: usize,
-    /// Silent loops.
+    /// Loops that are silent.
     silent: Vec<LoopId>,
 }
 
 /// The loops that the daemon has registered.
 #[derive(Debug, Default)]
 pub(super) struct Registered {
-    /// When each loop was heard last, s since the start, by the handle's place; `None` where there is no loop.
+    /// When each loop was last heard, s since the start, by handle; `None` where there is no loop.
     heard_s: Vec<Option<u32>>,
-    /// Shards of the recording that have a file: those with loops, and the first one until loops come.
+    /// Segments of the recording that have a file: those with loops, and the first one even before any loop comes.
     pub segments: BTreeSet<usize>,
 }
 
 impl Registered {
-    /// A loop is new, or a sample of it was taken; says whether it is new.
+    /// Notes a new loop or a sample of a known one; true if the loop is new.
     pub(super) fn mark_heard(&mut self, id: LoopId, now: Duration) -> bool {
         if self.heard_s.len() <= id.index() {
             self.heard_s.resize(id.index() + 1, None);
@@ -68,7 +68,7 @@ impl Registered {
         }
     }
 
-    /// Loops that it holds.
+    /// Number of registered loops.
     #[cfg(test)]
     pub(super) fn count(&self) -> usize {
         self.heard_s.iter().flatten().count()
@@ -80,7 +80,7 @@ fn seconds(now: Duration) -> u32 {
 }
 
 impl EngineThread {
-    /// Registers the loops that are there at the start, and opens their files.
+    /// Registers the loops present at the start, and opens their files.
     pub(super) fn register_all(&mut self) {
         let now = self.clock.since(self.started);
         for id in self.loops.engine.ids() {
@@ -91,7 +91,7 @@ impl EngineThread {
         self.reopen_segments();
     }
 
-    /// Registers a loop if it is new: its file is opened, or knows its alarm.
+    /// Registers a loop if it is new: opens its segment's file, or records its memory in the open one.
     pub(super) fn register(&mut self, id: LoopId) {
         if self.loops.registered.heard_s(id).is_some() {
             return;
@@ -104,21 +104,21 @@ impl EngineThread {
         let state = self.loops.engine.checkpoint(id);
         let nothing = Checkpoint { alarm: Alarm::default(), gap: GapWatch::default(), group: None, stream: None };
         if self.memory(id) != nothing {
-            // It came back with what was remembered of it: a replay of this file must know it too.
+            // It came back with its memory, which a replay of this file needs too.
             let document = StateDocument::new(self.loops.engine.name(id), None, state);
             self.record(id, Kind::State, &document, 0);
         }
     }
 
-    /// The handle of a loop, which comes back if it was forgotten with an alarm, be there room or not; none of a loop that was
-    /// removed.
+    /// The handle of a loop. A loop that was forgotten with an active alarm comes back, whether or not there is room; a removed
+    /// loop has no handle.
     pub(super) fn find_or_revive(&mut self, name: &str) -> Option<LoopId> {
         let has_left = self.loops.engine.has_left(name);
         let id = if has_left { Some(self.loops.engine.appear_anyway(name)) } else { self.loops.engine.find(name) };
         id.filter(|id| !self.loops.removed.contains(id)).inspect(|id| self.register(*id))
     }
 
-    /// Looks at every loop where there are few; many are looked at by [`EngineThread::sweep_step`].
+    /// Visits every loop if there are few; otherwise [`EngineThread::sweep_step`] does it.
     pub(super) fn sweep_some(&mut self, health_parts: usize) {
         if self.loops.engine.places() > FEW {
             return;
@@ -129,7 +129,7 @@ impl EngineThread {
         self.publish_health(all.div_ceil(health_parts).max(1));
     }
 
-    /// Looks at the next part of many loops.
+    /// Visits the next part of many loops.
     pub(super) fn sweep_step(&mut self) {
         let all = self.loops.engine.places();
         if all <= FEW {
@@ -171,7 +171,7 @@ impl EngineThread {
     fn end_round(&mut self) {
         self.metrics.show_aligned(&std::mem::take(&mut self.loops.sweep.sum));
         self.metrics.loop_bytes.set(std::mem::take(&mut self.loops.sweep.bytes) as i64);
-        // One whose last window was skipped is idle without an answer.
+        // A loop whose last window was skipped becomes idle without an answer, so check here too.
         self.forget_removed();
         let silent = std::mem::take(&mut self.loops.sweep.silent);
         self.forget(&silent);
@@ -187,8 +187,8 @@ impl EngineThread {
         self.loops.sweep.next_health = if from + slice >= all { 0 } else { from + slice };
     }
 
-    /// Forgets loops that have been silent for long or were removed. It first records what a replay needs to do the same at
-    /// the same place.
+    /// Forgets loops that have long been silent or were removed. First records what a replay needs to forget them at the same
+    /// point.
     pub(super) fn forget(&mut self, silent: &[LoopId]) {
         let mut gone = HashSet::new();
         for id in silent.iter().copied() {
@@ -208,7 +208,7 @@ impl EngineThread {
             }
             gone.insert(id);
             self.metrics.loops_forgotten.inc();
-            // An alarm that is not at rest goes on being shown and answered, with the age that it has.
+            // An active alarm remains on display and can be queried, with its age.
             for kind in KINDS.into_iter().filter(|kind| at_rest || *kind != Kind::Alarm) {
                 let key = topic::result(&self.config.site.prefix, &name, kind);
                 self.outputs.publisher.publish(Publication { key, kind, document: None });
@@ -241,7 +241,7 @@ impl EngineThread {
         self.close_empty_segments(&gone);
     }
 
-    /// Files of which every loop has left are finished; the next one follows with the next loop.
+    /// Closes the files whose loops have all left; the next loop opens a new one.
     fn close_empty_segments(&mut self, gone: &HashSet<LoopId>) {
         for segment in gone.iter().map(|id| segment_of(*id)).collect::<BTreeSet<usize>>() {
             let (from, to) = (segment * LOOPS_PER_FILE, (segment + 1) * LOOPS_PER_FILE);

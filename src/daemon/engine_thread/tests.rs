@@ -1,4 +1,4 @@
-//! Loops that come, leave, are commanded and recorded anew in any order leave nothing behind.
+//! Loops that come, leave, receive commands and come back in any order leave nothing behind.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ const START_NS: i64 = 1_700_000_000_000_000_000;
 const LOOPS: usize = 12;
 
 impl EngineThread {
-    /// What is held of loops, by who holds it.
+    /// Number of entries that each part holds for loops.
     pub(crate) fn remains(&self) -> Vec<(&'static str, usize)> {
         vec![
             ("engine", self.loops.engine.count()),
@@ -66,7 +66,7 @@ impl Plant {
         self.second += seconds as i64;
     }
 
-    /// A loop sends for a while; its windows are given up by the worker.
+    /// A loop sends for a while; the worker gives up its windows.
     fn send(&mut self, name: &str) {
         for _ in 0..30 {
             for signal in ["op", "pv"] {
@@ -90,7 +90,7 @@ impl Plant {
         self.settle();
     }
 
-    /// The configuration is read again, unchanged.
+    /// Reads the same configuration again.
     fn reload(&mut self) {
         assert!(self.stage.edit(self.config.clone(), &self.text).unwrap().is_empty());
         self.stage.turn();
@@ -102,7 +102,7 @@ impl Plant {
         assert!(self.stage.keep());
     }
 
-    /// All loops are silent for longer than they are remembered.
+    /// All loops are silent for longer than the daemon remembers them.
     fn silence(&mut self) {
         self.pass(61);
         self.stage.health();
@@ -158,7 +158,7 @@ proptest! {
             }
             prop_assert!(plant.stage.engine().places() <= LOOPS);
         }
-        // Those that were put aside are shown until somebody puts them back.
+        // Loops out of service remain on display until somebody returns them to service.
         (0..LOOPS).for_each(|k| plant.command(&name(k), "in_service"));
         plant.send("last");
         plant.silence();

@@ -1,4 +1,4 @@
-//! Windows on their way to the workers. Thousands come due at once; the schedule says which one is next.
+//! Passes windows to the workers. Thousands may come due at once; the schedule decides which is next.
 
 use super::EngineThread;
 use crate::daemon::worker::Job;
@@ -6,14 +6,14 @@ use stiction_engine::codec::topic::Kind;
 use stiction_engine::engine::{LoopId, RecordedInput, Request, SkipReason};
 
 impl EngineThread {
-    /// A window came due: it takes its place in the schedule, and those that must make room are skipped.
+    /// Puts a due window into the schedule, and skips those that must make room for it.
     pub(super) fn schedule_window(&mut self, request: Request) {
         self.metrics.windows.inc();
         let id = request.id;
         if let Some(plant) = &mut self.loops.plant {
             plant.watch.expect(request.end_ns);
         }
-        // A loop's first waiting window shares most of its memory with the history; each further one holds a copy.
+        // A loop's first waiting window shares most of its memory with the history; every further one holds a copy.
         let bytes = if self.loops.engine.waiting(id).nth(1).is_some() { request.bytes() } else { 0 };
         let job = Job { request, arrival_ns: self.inputs.arrival_ns };
         for Job { request, .. } in self.loops.schedule.push(id.index(), self.loops.engine.name(id), bytes, job) {
@@ -22,7 +22,7 @@ impl EngineThread {
         self.dispatch_to_workers();
     }
 
-    /// Gives idle workers what is next.
+    /// Gives waiting windows to idle workers.
     pub(super) fn dispatch_to_workers(&mut self) {
         while !self.loops.workers.jobs.is_full() {
             let Some(job) = self.loops.schedule.pop() else { return };

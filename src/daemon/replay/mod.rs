@@ -1,8 +1,8 @@
-//! Re-runs the engine on recordings. The same code path as live: only the order of what is taken comes from the file.
+//! Re-runs the engine on recordings, by the same code as the live daemon; only the order of the inputs comes from the file.
 //!
-//! A recorded estimate marks the place where the live engine consumed that window's answer; replay computes the answer
-//! there. Skips and commands are applied where they stand. So whatever the workers' speed was, the engine sees the same
-//! inputs in the same order, and must say the same.
+//! A recorded estimate marks the point at which the live engine took that window's answer; replay computes the answer there.
+//! Skips and commands are applied where they were recorded. So the engine sees the same inputs in the same order, however fast
+//! the workers were, and must give the same documents.
 
 pub mod parallel;
 mod plant;
@@ -29,18 +29,18 @@ use stiction_engine::engine::{
 use stiction_files::run::{REFILLED_FROM, RunMetadata};
 use stiction_files::{Item, RecordingReader};
 
-/// A document that replay made.
+/// A document produced by replay.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Output {
     /// The loop's name.
     pub loop_name: String,
-    /// What it is: estimate, alarm, gap, or the loop's memory after one of them.
+    /// Its kind: estimate, alarm, gap, or the loop's memory after one of them.
     pub kind: Kind,
-    /// Its JSON, to the byte.
+    /// Its JSON, byte for byte.
     pub json: Vec<u8>,
 }
 
-/// An event of one loop for the comparison of all loops.
+/// An event of one loop, for the comparison of all loops.
 #[derive(Debug)]
 pub enum PlantEvent {
     /// A window to compare.
@@ -49,44 +49,44 @@ pub enum PlantEvent {
     Left(Arc<str>),
 }
 
-/// An engine that is driven by recorded messages.
+/// An engine fed with recorded messages.
 pub struct Replay {
     engine: Engine,
-    /// The loops of the run before, where a file begins another.
+    /// The previous run's loops, when a file starts a new run.
     before: Option<Engine>,
-    /// Windows are cut and given up, results passed over: only the loops' streams go on.
+    /// Whether windows are cut but not computed, and results passed over, so that only the loops' streams advance.
     streams_alone: bool,
-    /// Uses only samples and commands of the file: windows begin empty and are judged again.
+    /// Whether only samples and commands of the file are used: windows start empty and are judged again.
     judging: bool,
-    /// The newest recorded answer of each loop, where only the streams go on.
+    /// Each loop's newest recorded answer, if only the streams advance.
     newest: BTreeMap<String, Vec<u8>>,
-    /// Requests that wait for their place, per loop.
+    /// Requests that wait for their place in the recording, per loop.
     waiting: HashMap<LoopId, VecDeque<Request>>,
-    /// Each loop's place among its windows.
+    /// Position of each loop among its windows.
     places: HashMap<LoopId, WindowCursor>,
-    /// Diagnoses that wait for their place, per loop, and where their search was ended.
+    /// Diagnoses that wait for their place, per loop, and the evaluations after which their search ended.
     gaps: HashMap<LoopId, VecDeque<(GapRequest, Option<u64>)>>,
-    /// Whether diagnoses are made again. Nothing else hangs on them, so on the way to a file they need not be.
+    /// Whether diagnoses are computed again. No other result depends on them, so they can be skipped on the way to a file.
     diagnose: bool,
-    /// Compute each request at once: for recordings that hold no results.
+    /// Whether each request is computed at once, for recordings without results.
     at_once: bool,
     events: Vec<Event>,
     for_plant: Vec<PlantEvent>,
 }
 
-/// Which window a recorded estimate is of. Their ends do not tell: history that is played twice has each twice. Estimates
-/// stand in the order of their windows, one for each, skipped or not.
+/// Finds the window of a recorded estimate. The end of the window is not enough: history that is played twice has each end
+/// twice. Estimates are in the order of their windows, one for each, whether skipped or not.
 #[derive(Debug, Default)]
 struct WindowCursor {
     /// The window of the next estimate.
     next: u64,
-    /// Windows before this one came due before the replay began: nothing of them is here.
+    /// Windows before this one came due before the replay began and are not available.
     first: u64,
-    /// Windows that were skipped and whose estimates have not come yet.
+    /// Skipped windows whose estimates have not come yet.
     skipped: BTreeSet<u64>,
 }
 
-/// The window of a recorded estimate or gap, all that replay needs of it.
+/// The window in a recorded estimate or gap; replay needs nothing else of it.
 #[derive(Deserialize)]
 struct Marker {
     window: MarkerWindow,
@@ -97,7 +97,7 @@ struct MarkerWindow {
     end_ns: i64,
 }
 
-/// A recorded message passed every limit when it was recorded.
+/// Every recorded message passed all limits when it was recorded.
 fn unlimited(settings: EngineSettings) -> EngineSettings {
     EngineSettings { max_loops: usize::MAX, ..settings }
 }
@@ -107,7 +107,7 @@ fn engine_of(settings: EngineSettings) -> Engine {
 }
 
 impl Replay {
-    /// A replay under an engine's settings. `at_once` is for recordings without results.
+    /// A replay under these engine settings. `at_once` is for recordings without results.
     #[must_use]
     pub fn new(settings: EngineSettings, at_once: bool) -> Self {
         Self {
@@ -126,12 +126,12 @@ impl Replay {
         }
     }
 
-    /// Whether only samples are replayed, and the windows and results of the following files are passed over.
+    /// Whether to replay only samples, and pass over the windows and results of the following files.
     pub const fn set_streams_alone(&mut self, streams_alone: bool) {
         self.streams_alone = streams_alone;
     }
 
-    /// Whether only samples and commands of the following files count.
+    /// Whether to use only samples and commands of the following files.
     pub const fn set_judging(&mut self, judging: bool) {
         self.judging = judging;
     }
@@ -141,12 +141,12 @@ impl Replay {
         std::mem::take(&mut self.newest)
     }
 
-    /// The replay begins, under these settings.
+    /// Starts the replay under these settings.
     pub fn begin(&mut self, settings: EngineSettings) {
         self.engine = engine_of(settings);
     }
 
-    /// A file begins another run, under these settings: of the loops so far those go on that its head names.
+    /// A file starts another run under these settings; of the previous run's loops, those named in its head continue.
     pub fn begin_run(&mut self, settings: EngineSettings) {
         self.before = Some(std::mem::replace(&mut self.engine, engine_of(settings)));
         self.waiting.clear();
@@ -154,31 +154,31 @@ impl Replay {
         self.gaps.clear();
     }
 
-    /// A file was recorded after an edit of the configuration, which happens here.
+    /// The next file was recorded after an edit of the configuration, which is applied here.
     pub fn edit(&mut self, settings: EngineSettings) {
         self.engine.reconfigure(unlimited(settings));
     }
 
-    /// The engine as it is now.
+    /// The engine in its current state.
     #[must_use]
     pub fn into_engine(self) -> Engine {
         self.engine
     }
 
-    /// Whether the gap diagnoses of the following files are made again, or only their places are kept.
+    /// Whether to compute the gap diagnoses of the following files again, or only to keep track of their places.
     pub const fn set_diagnose(&mut self, diagnose: bool) {
         self.diagnose = diagnose;
     }
 
-    /// What came for the comparison of all loops since the last time.
+    /// Events for the comparison of all loops since the last call.
     pub fn drain_for_plant(&mut self) -> impl Iterator<Item = PlantEvent> + '_ {
         self.for_plant.drain(..)
     }
 
-    /// Takes one message of the file.
+    /// Takes one message from the file.
     ///
     /// # Errors
-    /// A payload that is not what its topic says.
+    /// The payload does not match its topic.
     pub fn take(&mut self, topic: &Topic<'_>, data: &[u8], out: &mut Vec<Output>) -> anyhow::Result<()> {
         if let Leaf::Raw(signal) = topic.leaf {
             self.take_sample(topic.loop_name, decode_recorded(signal, data)?, out);
@@ -211,10 +211,10 @@ impl Replay {
         self.sort_events(out);
     }
 
-    /// Does what outside time or people did there.
+    /// Applies an input that came from outside, from people or timing, at the point where it was recorded.
     fn handle(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) -> anyhow::Result<()> {
         match input {
-            // Which windows were skipped, and what groups said of loops, belongs to the run that was recorded.
+            // Skipped windows and group answers belong to the recorded run, not to this one.
             other if self.judging && !matches!(other, RecordedInput::Command(_)) => {}
             RecordedInput::Command(_) | RecordedInput::GapRun { .. } | RecordedInput::Removed if self.streams_alone => {
             }
@@ -229,7 +229,7 @@ impl Replay {
                 }
             }
             RecordedInput::GapRun { by, .. } => {
-                // A run that was recorded was not refused.
+                // A recorded run had not been refused.
                 let _ = self.engine.run_gap(id, by.as_deref(), false, &mut self.events);
             }
             RecordedInput::GapNeighbours { number, neighbours } => {
@@ -247,7 +247,7 @@ impl Replay {
                 self.engine.skip_gap(id, number, reason, &mut self.events);
             }
             RecordedInput::Group { standing } => self.engine.stand(id, standing.map(|standing| *standing)),
-            // Of many loops: not in a loop's own channel.
+            // Concerns several loops: not handled in a loop's channel.
             RecordedInput::Comparing { .. } | RecordedInput::Compared { .. } => {}
             RecordedInput::Forget => {
                 self.for_plant.push(PlantEvent::Left(self.engine.name(id).clone()));
@@ -270,12 +270,12 @@ impl Replay {
         Ok(())
     }
 
-    /// A loop's diagnosis that was asked for and not made yet, with the evaluations at which its search is ended.
+    /// A loop's requested but not yet computed diagnosis, with the evaluations after which its search ends.
     fn waiting_gap(&mut self, id: LoopId, number: u64) -> Option<&mut (GapRequest, Option<u64>)> {
         self.gaps.get_mut(&id)?.iter_mut().find(|(request, _)| request.number == number)
     }
 
-    /// Makes the loop's oldest diagnosis: its recorded document was just read.
+    /// Computes the loop's oldest diagnosis, whose recorded document was just read.
     fn diagnose_next(&mut self, id: LoopId) {
         if let Some((request, cut)) = self.gaps.entry(id).or_default().pop_front() {
             self.diagnose(&request, cut);
@@ -286,15 +286,15 @@ impl Replay {
         let (id, number) = (request.id, request.number);
         match self.diagnose.then(|| request.compute(&Until(cut))) {
             Some(Ok(document)) => self.engine.complete_gap(id, number, document, &mut self.events),
-            // Without an answer there is no document; a recorded one then stands without its like.
+            // Without an answer there is no document, so a recorded one finds no match.
             Some(Err(_)) | None => self.engine.skip_gap(id, number, SkipReason::Failed, &mut self.events),
         }
     }
 
-    /// Takes over the states that a file starts with: everything at the start of the replay and of a run, no streams later.
+    /// Restores the states at the head of a file: in full at the start of the replay and of a run, later without the streams.
     ///
     /// # Errors
-    /// A payload that is no state.
+    /// A payload is not a state.
     pub fn take_head(&mut self, data: &[u8], everything: bool) -> anyhow::Result<()> {
         if self.judging {
             return Ok(());
@@ -316,7 +316,7 @@ impl Replay {
         Ok(())
     }
 
-    /// Computes the answer to the window that a recorded estimate is of.
+    /// Computes the answer to the window of a recorded estimate.
     fn answer(&mut self, id: LoopId, end_ns: i64) {
         let place = self.places.entry(id).or_default();
         let seq = place.next;
@@ -326,7 +326,7 @@ impl Replay {
         }
         let Some(waiting) = self.waiting.get_mut(&id) else { return };
         let exact = waiting.iter().position(|r| r.seq == seq && r.end_ns == end_ns);
-        // Older recordings do not say how many windows had no answer yet when they begin.
+        // Older recordings do not say how many windows were unanswered when they begin.
         let Some(at) = exact.or_else(|| waiting.iter().position(|r| r.end_ns == end_ns)) else { return };
         if let Some(request) = waiting.remove(at) {
             place.next = request.seq + 1;
@@ -362,7 +362,7 @@ impl Replay {
         }
     }
 
-    /// A change outside the windows, and the loop's memory after it.
+    /// Adds an alarm change that belongs to no window, and the loop's memory after it.
     fn put_alarm(&self, id: LoopId, document: &AlarmDocument, out: &mut Vec<Output>) {
         let memory = Checkpoint { stream: None, ..self.engine.checkpoint(id) };
         let state = StateDocument::new(self.engine.name(id), Some(document.changed_ns), memory);
@@ -375,10 +375,10 @@ impl Replay {
     }
 }
 
-/// The files of a folder or the one file given, as chains: each inner list is one shard of one run, oldest first.
+/// The recordings in a folder, or the one file given, as chains: each inner list is one segment of one run, oldest first.
 ///
 /// # Errors
-/// Nothing there is a recording.
+/// There is no recording.
 pub fn chains_of(input: &Path) -> anyhow::Result<Vec<Vec<PathBuf>>> {
     if !input.is_dir() {
         return Ok(vec![vec![input.to_owned()]]);
@@ -386,7 +386,7 @@ pub fn chains_of(input: &Path) -> anyhow::Result<Vec<Vec<PathBuf>>> {
     let mut files = Vec::new();
     let entries = std::fs::read_dir(input).with_context(|| input.display().to_string())?;
     for path in entries.flatten().map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
-        // A kill before the first flush leaves nothing in a file.
+        // A file killed before its first flush is empty.
         if path.extension().is_some_and(|e| e == "part") && std::fs::metadata(&path).is_ok_and(|m| m.len() == 0) {
             tracing::warn!(file = %path.display(), "is empty: left out");
             continue;
@@ -408,7 +408,7 @@ pub fn chains_of(input: &Path) -> anyhow::Result<Vec<Vec<PathBuf>>> {
     Ok(chains.map(|chain| chain.iter().map(|f| f.path.clone()).collect()).collect())
 }
 
-/// The states at the head of a file: loop and greatest source time.
+/// The states at the head of a file: for each loop its greatest source time.
 pub(super) fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
     let mut reader = RecordingReader::open(path)?;
     let mut heads = BTreeMap::new();
@@ -424,12 +424,12 @@ pub(super) fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String
     Ok(heads)
 }
 
-/// The loops that a file holds samples or results of, and the earliest window of their gap diagnoses; the others have no
-/// window in it.
+/// The loops with samples or results in a file, and the earliest window end of their gap diagnoses; the other loops have no
+/// window in the file.
 fn loops_with_windows(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
     let mut reader = RecordingReader::open(path)?;
     let mut loops: BTreeMap<String, Option<i64>> = BTreeMap::new();
-    // A sample says no more than its channel, which is looked at once.
+    // Samples add nothing to what their channel shows, so each channel is checked once.
     let mut seen = BTreeSet::new();
     while let Some(item) = reader.next_item()? {
         let (id, channel) = item.channel();
@@ -453,11 +453,12 @@ fn loops_with_windows(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<Stri
     Ok(loops)
 }
 
-/// The loops whose windows go on into a chain of files, and the greatest source time up to which what came before is needed.
+/// The loops whose windows continue into a chain of files, each with the greatest source time up to which earlier data is
+/// needed.
 fn loops_that_go_on(chain: &[PathBuf], prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
     let Some(first) = chain.first() else { return Ok(BTreeMap::new()) };
     let mut alive: BTreeMap<String, Option<i64>> = BTreeMap::new();
-    // A loop that is silent in the first file may send in a later one what it had kept back.
+    // A loop without samples in the first file may have waiting ones that are sent in a later file.
     for file in chain {
         for (name, earliest) in loops_with_windows(file, prefix)? {
             let of = alive.entry(name).or_default();
@@ -466,17 +467,17 @@ fn loops_that_go_on(chain: &[PathBuf], prefix: &str) -> anyhow::Result<BTreeMap<
     }
     let mut own = heads(first, prefix)?;
     own.retain(|name, _| alive.contains_key(name));
-    // A diagnosis may be of a window long before the file in which it was done.
+    // A diagnosis may concern a window long before the file that contains it.
     for (name, greatest) in &mut own {
         *greatest = greatest.map(|g| alive.get(name).copied().flatten().map_or(g, |end_ns| g.min(end_ns)));
     }
     Ok(own)
 }
 
-/// The files that must be read before a chain of files so that its windows are complete, oldest first.
+/// The files that must be read before a chain, so that its windows are complete; oldest first.
 ///
 /// # Errors
-/// Names the file that is gone.
+/// Names the missing file.
 pub fn files_before(chain: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let Some(path) = chain.first() else { return Ok(Vec::new()) };
     let metadata = RunMetadata::of(path, RecordingReader::open(path)?.metadata())?;
@@ -495,7 +496,7 @@ pub fn files_before(chain: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
         let earlier = heads(&file, &metadata.prefix)?;
         let far_enough =
             own.iter().filter_map(|(name, greatest)| greatest.map(|g| (name, g))).all(|(name, greatest)| {
-                // A loop that had not come yet needs nothing from before.
+                // A loop that had not appeared yet needs nothing from earlier files.
                 earlier.get(name).copied().flatten().is_none_or(|g| greatest.saturating_sub(g) >= reach_ns)
             });
         let is_first = previous == refilled_from;
@@ -521,7 +522,7 @@ pub(super) fn reach_ns(config: &Config) -> i64 {
     stiction::core::units::ns_from_s(reach_s)
 }
 
-/// The recording of this name beside another one, finished or not. An empty name is none.
+/// The recording of this name in the same folder, finished or not; `None` for an empty name.
 pub(super) fn neighbour(path: &Path, name: &str) -> Option<PathBuf> {
     [path.with_file_name(name), path.with_file_name(format!("{name}.part"))].into_iter().find(|p| p.is_file())
 }

@@ -1,6 +1,7 @@
-//! Replays a file on all cores. A loop's answers depend on its own channel alone, so each has its lane with a separate engine;
-//! one thread reads ahead, the lanes work through a block of messages side by side, and what they made is put into the order in
-//! which the messages stand. So the bytes are those of one engine that takes one message after the other.
+//! Replays a file on all cores. A loop's answers depend on its channel alone, so the loops are distributed over lanes, each
+//! with a separate engine. One thread reads ahead, the lanes process a block of messages in parallel, and their outputs are
+//! then put into the order of the messages. The bytes are therefore those of a single engine that takes one message after the
+//! other.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::path::Path;
@@ -22,24 +23,24 @@ use stiction_engine::shard::stable_hash;
 use stiction_files::run::{ORIGINS, RunMetadata};
 use stiction_files::{Channel, End, Item, RecordingReader};
 
-/// Lanes: many more than cores, so that one with a busy loop holds up nobody. Results do not hang on it.
+/// Number of lanes, many more than cores so that one busy loop holds up few others. Results do not depend on it.
 const LANES: usize = 64;
-/// Messages of a block: with the one that is read ahead, some hundred megabytes.
+/// Messages in a block: with the block read ahead, some hundred megabytes.
 const BLOCK: usize = 400_000;
 /// Bytes of documents in a block.
 const BLOCK_BYTES: usize = 64 << 20;
 
-/// Engines side by side that are driven by recorded messages.
+/// Parallel engines fed with recorded messages.
 pub struct ParallelReplay {
     lanes: Vec<Mutex<Replay>>,
     settings: EngineSettings,
-    /// Whether files are judged again from their samples and commands alone.
+    /// Whether to judge files again from their samples and commands alone.
     judging: bool,
-    /// Whether the settings stay, whatever the files were recorded under.
+    /// Whether to keep the settings whatever the files were recorded under.
     fixed: bool,
-    /// When a sample of each loop arrived last, ns.
+    /// Arrival time of each loop's last sample, ns.
     heard_ns: BTreeMap<String, i64>,
-    /// When whoever waits for it waits no longer.
+    /// When the caller stops waiting.
     until: Option<Instant>,
     plant: ReplayPlant,
 }
@@ -53,47 +54,47 @@ pub struct LastSeen {
     pub heard_ns: Option<i64>,
 }
 
-/// How one file's replay went.
+/// Result of replaying one file.
 #[derive(Debug, Default)]
 pub struct FileReport {
-    /// Documents made while its messages were taken.
+    /// Documents produced from its messages.
     pub outputs: Vec<Output>,
-    /// Documents compared with recorded ones.
+    /// Number of documents compared with recorded ones.
     pub compared: usize,
-    /// Groups that were not compared: loops of other files belong to them, or windows from before the first file.
+    /// Groups not compared, since they include loops of other files or windows from before the first file.
     pub unchecked: usize,
     /// The first difference.
     pub difference: Option<String>,
-    /// Why the file is not whole, if it is not.
+    /// Why the file is incomplete, if it is.
     pub cut: Option<String>,
 }
 
 /// Content of a message.
 enum Held {
     Sample(Sample),
-    /// Its place among the block's bytes.
+    /// Range in the block's bytes.
     Bytes(std::ops::Range<usize>),
 }
 
 /// One message on its way to its lane.
 struct Step {
-    /// None where it is of many loops.
+    /// `None` if it concerns several loops.
     lane: Option<usize>,
-    /// Its topic's place in the list of the file's topics.
+    /// Index of its topic in the file's list of topics.
     topic: usize,
     held: Held,
 }
 
-/// Messages that are worked through together.
+/// Messages processed together.
 #[derive(Default)]
 struct Block {
     steps: Vec<Step>,
     bytes: Vec<u8>,
-    /// Topics that have come since the block before.
+    /// Topics that are new since the previous block.
     topics: Vec<String>,
 }
 
-/// Output of a lane for a block: documents with the places of the messages that they were made at.
+/// A lane's output for a block: documents, each with the index of the message that caused it.
 #[derive(Default)]
 struct Made {
     outputs: Vec<(usize, Output)>,
@@ -101,7 +102,7 @@ struct Made {
     failed: Option<(usize, anyhow::Error)>,
 }
 
-/// The comparison of one file, and its progress.
+/// The comparison of one file so far.
 struct Comparing<'a> {
     verify: bool,
     plant: &'a mut ReplayPlant,
@@ -110,8 +111,8 @@ struct Comparing<'a> {
 }
 
 impl ParallelReplay {
-    /// A replay under a configuration until a file says another one, as the daemon of this id had it. `at_once` is for
-    /// recordings without results.
+    /// A replay under this configuration until a file has another one, with this daemon id. `at_once` is for recordings without
+    /// results.
     #[must_use]
     pub fn new(config: &Config, daemon: Option<&str>, at_once: bool) -> Self {
         let settings = EngineSettings { daemon: daemon.map(Into::into), ..config.engine() };
@@ -121,7 +122,7 @@ impl ParallelReplay {
         Self { lanes, settings, judging: false, fixed: false, heard_ns: BTreeMap::new(), until: None, plant }
     }
 
-    /// Only the loops' streams, until this moment: after it [`ParallelReplay::file`] fails.
+    /// A replay of the streams alone, up to this moment: after it [`ParallelReplay::file`] fails.
     #[must_use]
     pub fn of_streams(config: &Config, until: Instant) -> Self {
         let mut rerun = Self { until: Some(until), ..Self::new(config, None, false) };
@@ -129,8 +130,8 @@ impl ParallelReplay {
         rerun
     }
 
-    /// Judges files again from their samples and commands alone and with windows that begin empty: under this configuration
-    /// where it is `fixed`, else from the first file on under those that the files were recorded under.
+    /// Judges files again from their samples and commands alone, starting with empty windows: under this configuration if
+    /// `fixed`, else under the ones that the files were recorded under.
     #[must_use]
     pub fn judging(config: &Config, fixed: bool) -> Self {
         let mut rerun = Self { judging: true, fixed, ..Self::new(config, None, true) };
@@ -141,7 +142,7 @@ impl ParallelReplay {
         rerun
     }
 
-    /// Last sign of life of each loop, where only streams are replayed.
+    /// Last sign of life of each loop, if only streams are replayed.
     pub fn take_last(&mut self) -> BTreeMap<String, LastSeen> {
         let mut last: BTreeMap<String, LastSeen> = BTreeMap::new();
         for (name, heard_ns) in std::mem::take(&mut self.heard_ns) {
@@ -156,7 +157,7 @@ impl ParallelReplay {
         last
     }
 
-    /// The engines as they are now.
+    /// The engines in their current state.
     pub fn into_engines(self) -> impl Iterator<Item = Engine> {
         self.lanes.into_iter().map(|lane| lane.into_inner().unwrap_or_else(PoisonError::into_inner).into_engine())
     }
@@ -165,15 +166,15 @@ impl ParallelReplay {
         self.lanes.iter_mut().for_each(|lane| change(lane.get_mut().unwrap_or_else(PoisonError::into_inner)));
     }
 
-    /// Whether the gap diagnoses of the following files are made again, or only their places are kept.
+    /// Whether to compute the gap diagnoses of the following files again, or only to keep track of their places.
     pub fn set_diagnose(&mut self, diagnose: bool) {
         self.each(|replay| replay.set_diagnose(diagnose));
     }
 
-    /// Takes a whole file. With `verify` every estimate, alarm and gap is compared with the recorded one.
+    /// Processes a whole file. With `verify`, every estimate, alarm and gap is compared with the recorded one.
     ///
     /// # Errors
-    /// The file cannot be read, or a message is not what its topic says.
+    /// The file cannot be read, or a message does not match its topic.
     pub fn file(&mut self, path: &Path, prefix: &str, first: bool, verify: bool) -> anyhow::Result<FileReport> {
         let mut reader = RecordingReader::open(path)?;
         let begins_run = reader.metadata().get("file_index").is_some_and(|index| index == "0");
@@ -201,7 +202,7 @@ impl ParallelReplay {
 }
 
 impl ParallelReplay {
-    /// Takes over the configuration that a file was recorded under. Within a run it is another one after an edit.
+    /// Adopts the configuration that a file was recorded under. Within a run it changes after an edit.
     fn follow(
         &mut self,
         metadata: &BTreeMap<String, String>,
@@ -234,17 +235,17 @@ impl ParallelReplay {
     }
 }
 
-/// Reads a file to its end, block by block; ends early where nobody takes them any more.
+/// Reads a file to the end, block by block; ends early if the receiver is gone.
 fn read(
     reader: &mut RecordingReader,
     prefix: &str,
     heard_ns: &mut BTreeMap<String, i64>,
     send: &crossbeam_channel::Sender<Block>,
 ) -> anyhow::Result<()> {
-    // Where a channel's messages go; nowhere if they are none of ours.
+    // Lane and topic of each channel; `None` if the channel is not ours.
     let mut routes: HashMap<u16, Option<(Option<usize>, usize)>> = HashMap::new();
     let (mut block, mut topics) = (Block::default(), 0);
-    // By channel, of raw signals alone.
+    // By channel, for raw signals only.
     let mut heard: HashMap<u16, (String, i64)> = HashMap::new();
     while let Some(item) = reader.next_item()? {
         let (id, channel) = item.channel();
@@ -255,7 +256,7 @@ fn read(
                 topics += 1;
                 return Some((None, topics - 1));
             }
-            // By its name: where a run follows another, the loop is in the same lane.
+            // By name, so that a loop stays in its lane when another run follows.
             let lane = Some(stable_hash(topic.loop_name) as usize % LANES);
             block.topics.push(channel.topic.clone());
             topics += 1;
@@ -296,7 +297,7 @@ fn note(heard: &mut HashMap<u16, (String, i64)>, prefix: &str, (id, channel): (u
     heard.entry(id).or_insert_with(|| (name(), at_ns)).1 = at_ns;
 }
 
-/// Works through a block, the lanes side by side.
+/// Processes a block, all lanes in parallel.
 fn run_block(
     lanes: &[Mutex<Replay>],
     block: &Block,
@@ -329,7 +330,7 @@ fn run_block(
     made.into_iter().map(|made| made.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
 }
 
-/// A message as its lane takes it.
+/// A message in the form that its lane takes.
 enum Taken<'a> {
     Sample(Sample),
     Bytes(&'a [u8]),
@@ -364,7 +365,7 @@ fn take(
     if is_head(data) { replay.take_head(data, everything) } else { Ok(()) }
 }
 
-/// Whether a recorded state is one that a file, or a loop in it, begins with.
+/// Whether a recorded state is the initial one of a file or of a loop in it.
 fn is_head(state: &[u8]) -> bool {
     #[derive(serde::Deserialize)]
     struct After {
@@ -374,7 +375,7 @@ fn is_head(state: &[u8]) -> bool {
 }
 
 impl Comparing<'_> {
-    /// Puts what the lanes made into the order of the messages, and compares.
+    /// Puts the lanes' outputs into the order of the messages, and compares.
     fn take(
         &mut self,
         made: Vec<Made>,
@@ -395,7 +396,7 @@ impl Comparing<'_> {
         if let Some((_, error)) = failed {
             return Err(error).with_context(|| path.display().to_string());
         }
-        // A lane's are in order already, and of one message only one lane has any.
+        // Each lane is sorted already, and only one lane has outputs of a given message, so a stable sort is enough.
         outputs.sort_by_key(|(at, _)| *at);
         for_plant.sort_by_key(|(at, _)| *at);
         let (mut outputs, mut for_plant) = (outputs.into_iter().peekable(), for_plant.into_iter().peekable());
@@ -428,7 +429,7 @@ impl Comparing<'_> {
         }
     }
 
-    /// Takes a message of many loops: where windows were compared, they are compared again.
+    /// Takes a message that concerns several loops: repeats the comparisons of the recording.
     fn take_of_plant(&mut self, topic: Option<Topic<'_>>, data: &[u8]) -> anyhow::Result<()> {
         if topic.is_some_and(|topic| topic.leaf == Leaf::Document(Kind::Input)) {
             let input = serde_json::from_slice(data).context("a recorded input")?;
@@ -441,7 +442,7 @@ impl Comparing<'_> {
         let Some(topic) = topic else { return };
         let kind = match topic.leaf {
             Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm | Kind::Gap | Kind::Group)) => kind,
-            // The initial states of a file or a loop were not made there.
+            // The initial states of a file or a loop were not produced there.
             Leaf::Document(Kind::State) if !is_head(recorded) => Kind::State,
             _ => return,
         };

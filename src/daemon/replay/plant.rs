@@ -1,7 +1,7 @@
-//! Groups in a replay: the windows of all lanes in the order of the recording, compared where the recording says so.
+//! Groups in a replay: takes the windows of all lanes in recorded order, and compares them where the recording says so.
 //!
-//! A file holds up to a thousand loops. Where loops of other files were compared with these, the groups cannot be made again
-//! from this file: they are counted as not checked.
+//! A file holds up to a thousand loops. If loops of other files took part in a comparison, its groups cannot be computed from
+//! this file: they are counted as unchecked.
 
 use std::collections::VecDeque;
 
@@ -11,26 +11,26 @@ use stiction::core::plantwide::GroupDocument;
 use stiction_engine::codec::topic::{Kind, PLANT};
 use stiction_engine::engine::{Comparison, PlantWatch, RecordedInput};
 
-/// Comparisons whose answer has not come, at most: a live daemon has one on its way.
+/// Most unanswered comparisons that are kept: a live daemon has one under way.
 const MOST_PENDING: usize = 16;
 
-/// The loops of a replay together.
+/// All loops of a replay, for comparison.
 #[derive(Default)]
 pub(in crate::daemon) struct ReplayPlant {
     watch: PlantWatch,
     daemon: Option<String>,
     pending: VecDeque<(String, Comparison)>,
-    /// Whether the groups of the last comparison in the recording could be made again.
+    /// Whether the groups of the last recorded comparison could be computed.
     is_made: bool,
 }
 
 impl ReplayPlant {
-    /// A replay of the daemon of this id.
+    /// A replay for the daemon of this id.
     pub(in crate::daemon) fn new(daemon: Option<&str>) -> Self {
         Self { daemon: daemon.map(str::to_owned), ..Self::default() }
     }
 
-    /// Takes what a lane made.
+    /// Takes an event from a lane.
     pub(in crate::daemon) fn take(&mut self, event: PlantEvent) {
         match event {
             PlantEvent::Window(name, window) => self.watch.keep(&name, *window),
@@ -38,7 +38,7 @@ impl ReplayPlant {
         }
     }
 
-    /// Does what the daemon did with all loops there; gives the groups that it found.
+    /// Repeats what the daemon did with all loops at this point; returns the groups found.
     pub(in crate::daemon) fn handle(&mut self, input: RecordedInput) -> Vec<Output> {
         match input {
             RecordedInput::Comparing { windows } => {
@@ -56,7 +56,7 @@ impl ReplayPlant {
         }
     }
 
-    /// Finds the groups of a comparison; none where it failed in the daemon.
+    /// The groups of a comparison; empty if the comparison failed in the daemon.
     fn compare(&mut self, windows: &str, failed: bool) -> Vec<Output> {
         let found = self.pending.iter().position(|(digest, _)| digest == windows);
         self.is_made = found.is_some();
@@ -72,7 +72,7 @@ impl ReplayPlant {
         comparison.compute(self.daemon.as_deref()).iter().filter_map(output).collect()
     }
 
-    /// Whether recorded groups can be compared with groups that were made again.
+    /// Whether recorded groups can be compared with computed ones.
     pub(in crate::daemon) const fn is_made(&self) -> bool {
         self.is_made
     }

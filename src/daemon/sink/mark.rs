@@ -1,5 +1,5 @@
-//! How far the store of documents is, for the store of states, which must not be ahead of it: a state that outlives a crash
-//! says that its alarm was told, so the document must outlive it too.
+//! Progress of the document store, which the state store must not overtake: a state that survives a crash implies that its
+//! alarm was sent, so the document must survive too.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -12,7 +12,7 @@ struct State {
     is_closed: bool,
 }
 
-/// How many documents were handed over, and what has become of them. Copies are the same one.
+/// Counts the documents handed over, and what happened to them. Clones share one count.
 #[derive(Debug, Clone, Default)]
 pub struct Mark(Arc<(Mutex<State>, Condvar)>);
 
@@ -33,7 +33,7 @@ impl Mark {
         self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// One more document is handed over; gives its number.
+    /// Hands over one more document; returns its number.
     pub fn hand(&self) -> u64 {
         let mut state = self.lock();
         state.handed += 1;
@@ -46,7 +46,7 @@ impl Mark {
         self.lock().handed
     }
 
-    /// All up to this number are on the disk, or need it no more.
+    /// All documents up to this number are on disk or no longer need to be.
     pub fn store(&self, number: u64) {
         let mut state = self.lock();
         state.stored = state.stored.max(number);
@@ -54,7 +54,7 @@ impl Mark {
         self.0.1.notify_all();
     }
 
-    /// The disk refused those up to this number.
+    /// The disk refused the documents up to this number.
     pub fn refuse(&self, number: u64, why: &str) {
         let mut state = self.lock();
         state.refused = state.refused.max(number);
@@ -63,7 +63,7 @@ impl Mark {
         self.0.1.notify_all();
     }
 
-    /// Nothing is stored any more.
+    /// No further document will be stored.
     pub fn close(&self) {
         let mut state = self.lock();
         state.is_closed = true;
@@ -74,16 +74,16 @@ impl Mark {
         self.0.1.notify_all();
     }
 
-    /// What has become of the documents up to this number; none while that is open.
+    /// What happened to the documents up to this number; `None` while that is undecided.
     #[must_use]
     pub fn look(&self, number: u64) -> Option<Result<(), String>> {
         self.lock().of(number)
     }
 
-    /// The same, once it is known.
+    /// The same, waiting until it is decided.
     ///
     /// # Errors
-    /// Why they are not on the disk.
+    /// Why they are not on disk.
     pub fn wait(&self, number: u64) -> Result<(), String> {
         let open = |state: &mut State| state.of(number).is_none();
         let state = self.0.1.wait_while(self.lock(), open).unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! Where results go: onto the bus, into recordings, and to receivers elsewhere.
+//! Destinations of results: the bus, recordings, and receivers elsewhere.
 
 pub mod deliver;
 pub mod mark;

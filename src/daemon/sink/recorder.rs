@@ -1,9 +1,9 @@
-//! The recorder: raw samples and results into MCAP files, in the order in which the engine took them.
+//! The recorder: writes raw samples and results to MCAP files, in the order in which the engine took them.
 //!
-//! Its thread reads a queue that is bounded in bytes. When that is full the engine waits a little, because a
-//! recording that misses something cannot be replayed, but only while this thread takes items: never for a disk that hangs,
-//! which costs recordings, counted, never alarms or estimates. Loops are spread
-//! over files side by side, [`LOOPS_PER_FILE`] to a file; each such *segment* is a separate recording.
+//! Its thread reads a queue that is bounded in bytes. When the queue is full the engine waits a little, because a recording
+//! with a gap cannot be replayed, but only while this thread takes items. It never waits for a disk that hangs: that costs
+//! recordings, which are counted, but never alarms or estimates. Loops are distributed over parallel files, [`LOOPS_PER_FILE`]
+//! to each; each such *segment* is a separate recording.
 
 mod channels;
 mod progress;
@@ -33,58 +33,58 @@ use stiction_engine::engine::LoopId;
 use stiction_files::disk::Disk;
 use stiction_files::{MAX_CHANNELS, RecordingFile, WriteError};
 
-/// Bytes that may wait for the disk: a minute of what 100,000 loops send every 10 s.
+/// Bytes that may wait for the disk: what 100,000 loops send in a minute at one sample every 10 s.
 pub const QUEUE_BYTES: usize = 256 << 20;
-/// Messages that may wait for it, if they are samples.
+/// Number of messages that fit into that if they are samples.
 pub const QUEUE: usize = QUEUE_BYTES / size_of::<(Item, Room)>();
-/// Pause before it is looked again whether there is room.
+/// Pause between checks for room.
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 /// Loops in one file: with at most ten channels a loop this stays within what a file may hold.
 pub const LOOPS_PER_FILE: usize = 1000;
-/// How long the engine waits for a place in the queue before it goes on without.
+/// How long the engine waits for a place in the queue before it goes on without recording the item.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Time without an item taken while some wait, after which the disk is said to hang.
+/// If items wait but none was taken for this long, the disk is reported as hanging.
 const HANGS: Duration = Duration::from_secs(10);
-/// If no item was taken for this long the disk hangs, and nobody waits for the thread.
+/// If no item was taken for this long, the engine stops waiting for the thread.
 const STANDS: Duration = Duration::from_millis(20);
-/// Pause after an error of the disk before the next file is tried.
+/// Pause after a disk error before the next file is tried.
 const RETRY: Duration = Duration::from_secs(5);
 
-/// Memory of an open file's index at which the next one is begun: with a thousand loops at 1 Hz that is a quarter of an
-/// hour, and without it an open file grew by some 200 MB an hour.
+/// Memory of an open file's index at which the next file is begun: with a thousand loops at 1 Hz, after a quarter of an hour.
+/// Without this limit an open file's memory grew by some 200 MB an hour.
 const MAX_INDEX_BYTES: u64 = 64 << 20;
 
-/// Channels of an open file at which the next one is begun: loops come and go, and their channels stay. The rest is for
-/// what the engine takes until then.
+/// Channels in an open file at which the next one is begun, since the channels of loops that leave remain. The rest is a
+/// reserve until the next file is open.
 const MANY_CHANNELS: usize = MAX_CHANNELS / 5 * 4;
-/// The same, as the file itself counts them, where that has not happened.
+/// The same limit by the file's own count, in case the engine's count missed it.
 const MOST_CHANNELS: usize = MAX_CHANNELS / 10 * 9;
 
 /// An order from the engine to the recorder.
 #[derive(Debug)]
 pub enum Item {
-    /// Close the segment's file, if one is open, and open the next, which starts with these states.
+    /// Close the segment's file, if one is open, and open the next one, which starts with these states.
     Open {
-        /// Which segment.
+        /// The segment.
         segment: usize,
         /// Loop names and state documents.
         states: Vec<(Arc<str>, Vec<u8>)>,
     },
-    /// Finish the segment's file: its loops have left, and no new file follows.
+    /// Finish the segment's file: its loops have left, and no new file follows yet.
     Close {
-        /// Which segment.
+        /// The segment.
         segment: usize,
     },
-    /// Another configuration, under which the next files are recorded, with the limits of a file.
+    /// Another configuration for the next files, with the limits of a file.
     Configuration {
-        /// What the files say of it.
+        /// The configuration as the files record it.
         config: Box<RecordedConfig>,
         /// Size at which a file is closed.
         max_bytes: u64,
         /// Age at which it is closed.
         max_age: Duration,
     },
-    /// A sample as it was taken.
+    /// A sample that the engine took.
     Raw {
         /// Its loop.
         id: LoopId,
@@ -101,7 +101,7 @@ pub enum Item {
         id: LoopId,
         /// The loop's name.
         name: Arc<str>,
-        /// What it is.
+        /// Its kind.
         kind: Kind,
         /// Its JSON.
         json: Vec<u8>,
@@ -111,7 +111,7 @@ pub enum Item {
 }
 
 impl Item {
-    /// Bytes that it holds while it waits.
+    /// Bytes that it occupies while it waits.
     fn bytes(&self) -> usize {
         let held = match self {
             Self::Open { states, .. } => states.iter().map(|(_, json)| json.len()).sum(),
@@ -123,7 +123,7 @@ impl Item {
     }
 }
 
-/// Which file a loop is recorded in.
+/// The segment in which a loop is recorded.
 #[must_use]
 pub const fn segment_of(id: LoopId) -> usize {
     id.index() / LOOPS_PER_FILE
@@ -133,21 +133,21 @@ pub const fn segment_of(id: LoopId) -> usize {
 pub struct Recorder {
     queue: BlockSender<(Item, Room)>,
     budget: Budget,
-    /// Shards that want a new file.
+    /// Segments that need a new file.
     pub rotations: Receiver<usize>,
     wanted: Sender<usize>,
     channels: Channels,
     metrics: Arc<Metrics>,
     clock: Clock,
-    /// The queue was full for long: nothing waits until it has drained.
+    /// The queue was full for too long: nothing waits until half of it is free.
     overrun: bool,
     progress: Arc<Progress>,
-    /// Items that the other end had taken when it was looked last, and since when it has taken no other.
+    /// Number of items taken by the thread at the last look, and since when it has not changed.
     seen: (u64, Instant),
 }
 
 impl Recorder {
-    /// Starts the thread. It finishes its files when the `Recorder` is dropped.
+    /// Starts the thread, which finishes its files when the `Recorder` is dropped.
     ///
     /// # Errors
     /// The system refuses a thread.
@@ -163,7 +163,7 @@ impl Recorder {
         Ok((recorder, thread))
     }
 
-    /// Both ends without a thread: whoever holds the other one decides when it works.
+    /// Both ends without a thread: the caller decides when the other end works.
     #[must_use]
     pub fn pair(
         run: RunInfo,
@@ -199,7 +199,7 @@ impl Recorder {
         (Self { queue, budget, rotations, wanted, channels, metrics, clock, overrun, progress, seen }, writer)
     }
 
-    /// Hands one item over, waiting a little for a place.
+    /// Hands one item over, waiting briefly for a place.
     pub fn record(&mut self, item: Item) {
         if let Some(segment) = self.channels.count(&item) {
             let _ = self.wanted.send(segment);
@@ -228,19 +228,19 @@ impl Recorder {
         }
     }
 
-    /// Gives the item back where there is no room for it.
+    /// Queues the item, or returns it if there is no room.
     fn put(&self, item: Item) -> Option<Item> {
         let Some(room) = self.budget.take(item.bytes()) else { return Some(item) };
         self.queue.put((item, room)).err().map(|(item, _)| item)
     }
 
-    /// How far the other end is.
+    /// Progress of the writing end.
     #[must_use]
     pub fn progress(&self) -> Arc<Progress> {
         self.progress.clone()
     }
 
-    /// Why the disk takes too little or nothing; none while it keeps up. Called with each report of the daemon's health.
+    /// Why the disk takes too little or nothing; `None` while it keeps up. Call it with each report of the daemon's health.
     pub fn stall(&mut self) -> Option<String> {
         let ([taken, _], now, waiting) = (self.progress.steps(), self.clock.now(), self.waiting());
         if waiting == 0 || taken != self.seen.0 {
@@ -255,25 +255,25 @@ impl Recorder {
             .then(|| "the recorder cannot keep up: recordings miss data until the disk answers again".to_owned())
     }
 
-    /// Items that wait.
+    /// Number of waiting items.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.queue.waiting()
     }
 
-    /// Bytes that wait, and that may.
+    /// Bytes waiting, and their limit.
     #[must_use]
     pub fn bytes(&self) -> [usize; 2] {
         [self.budget.used(), self.budget.limit()]
     }
 }
 
-/// The name of a segment's fault.
+/// Name of a segment's fault.
 fn fault_of(segment: usize) -> String {
     format!("recording s{segment}")
 }
 
-/// Topics by the loop's handle, with its name: another loop may have had the handle before.
+/// Topics by the loop's handle, with the name, since another loop may have had the handle before.
 type Topics = BTreeMap<(u32, Kind, Option<Signal>), (Arc<str>, String)>;
 
 /// One segment's open file.
@@ -281,18 +281,18 @@ struct Segment {
     file: Option<RecordingFile>,
     /// Messages in it.
     messages: u64,
-    /// Those of them that are not on the disk yet.
+    /// How many of them are not on disk yet.
     unflushed: u64,
     index: u32,
     previous: String,
     opened: Instant,
-    /// When a new file was last asked for.
+    /// When the engine was last asked for a new file.
     asked: Option<Instant>,
     retry_at: Option<Instant>,
     topics: Topics,
 }
 
-/// The end that writes.
+/// The end that writes, on the recorder's thread.
 pub struct Writer {
     items: BlockReceiver<(Item, Room)>,
     flush: Duration,
@@ -329,7 +329,7 @@ impl Writer {
         self.finish();
     }
 
-    /// Writes what waits now, and flushes where it is time to.
+    /// Writes what waits now, and flushes if it is time.
     pub fn turn(&mut self) {
         while let Received::Item((item, _room)) = self.items.take_within(Duration::ZERO) {
             self.take(item);
@@ -344,7 +344,7 @@ impl Writer {
         }
     }
 
-    /// Finishes the open files, on all cores: each takes its index, and a disk that answers several at a time does so.
+    /// Finishes the open files on all cores: each needs its index written, and some disks serve several requests at once.
     pub fn finish(&mut self) {
         let files: Vec<_> = self.segments.iter_mut().map(|segment| Mutex::new((segment.file.take(), None))).collect();
         share(files.len(), &|index| {
@@ -378,7 +378,7 @@ impl Writer {
                 self.write(id, &name, (Kind::of_signal(sample.signal), Some(sample.signal)), write);
             }
             Item::Document { id, name, kind, json, event_ns } => {
-                // Documents follow from samples: they carry the arrival of the newest, so stamps stay in order.
+                // Documents result from samples, so they get the newest sample's arrival time, and stamps stay in order.
                 let arrival = self.last_arrival_ns;
                 let write = |file: &mut RecordingFile, topic: &str| file.write(topic, kind, arrival, event_ns, &json);
                 self.write(id, &name, (kind, None), write);
@@ -389,7 +389,7 @@ impl Writer {
         }
     }
 
-    /// Repeats an alarm for viewers; it is not counted as a message.
+    /// Repeats an alarm in a form for viewers; not counted as a message.
     fn log_alarm(&mut self, index: usize, event_ns: i64, json: &[u8]) {
         let Some(file) = self.segments.get_mut(index).and_then(|segment| segment.file.as_mut()) else { return };
         match file.log_alarm(self.last_arrival_ns, event_ns, json) {
@@ -425,7 +425,7 @@ impl Writer {
                 segment.messages += 1;
                 segment.unflushed += 1;
             }
-            // The file goes on with the channels that it has.
+            // The file continues with the channels it has.
             Err(WriteError::Full { .. }) => self.lose(1),
             Err(error) => {
                 self.lose(1);
@@ -437,7 +437,7 @@ impl Writer {
         }
     }
 
-    /// Asks the engine for the segment's next file; again after a while, as the answer may have found no place in the queue.
+    /// Asks the engine for the segment's next file, and again after a while, in case the queue had no place for the answer.
     fn ask_for_next(&mut self, index: usize) {
         let Some(segment) = self.segments.get_mut(index) else { return };
         if segment.asked.is_none_or(|at| self.clock.since(at) > RETRY) {
@@ -459,19 +459,19 @@ impl Writer {
         let Some(segment) = self.segments.get_mut(index) else { return };
         segment.file = None;
         segment.retry_at = Some(self.clock.now() + RETRY);
-        // The open chunk never reached the disk.
+        // The open chunk never reached the disk, so its messages are lost.
         let unflushed = std::mem::take(&mut segment.unflushed);
         self.lose(unflushed);
     }
 
-    /// Everything written since the last call is on the disk.
+    /// Counts everything written since the last call as recorded.
     fn flushed(&mut self, index: usize) {
         if let Some(segment) = self.segments.get_mut(index) {
             self.metrics.recorded.inc_by(std::mem::take(&mut segment.unflushed));
         }
     }
 
-    /// The segment's file is finished.
+    /// Notes that the segment's file is finished.
     fn closed(&mut self, index: usize) {
         self.flushed(index);
         self.progress.close(index);
@@ -501,7 +501,7 @@ impl Writer {
         match RecordingFile::create_on(&self.disk, &self.dir, &stem, &metadata) {
             Ok(file) => {
                 segment.file = Some(file);
-                // Those of loops that have left are not needed again.
+                // The topics of loops that have left are not needed any more.
                 segment.topics.clear();
                 (segment.messages, segment.unflushed) = (0, 0);
                 segment.previous = format!("{stem}.mcap");
@@ -519,7 +519,7 @@ impl Writer {
                 return self.fail(index, &error.to_string());
             }
         }
-        // The states must outlive a crash in the first second, or the next start would find none.
+        // The states must survive a crash in the first second, or the next start would find none.
         let flushed = self.segments[index].file.as_mut().map_or(Ok(()), RecordingFile::flush);
         match flushed {
             Ok(()) => self.faults.clear(&fault_of(index)),
@@ -535,14 +535,14 @@ impl Writer {
         }
     }
 
-    /// Flushes, and asks for new files where one is full, old, or was lost.
+    /// Flushes, and asks for a new file where one is full, too old or lost.
     fn flush_and_rotate(&mut self) {
         for index in 0..self.segments.len() {
             let segment = &mut self.segments[index];
             let retry = segment.retry_at.is_some_and(|at| self.clock.now() >= at);
             let (mut failure, mut gone, mut full) = (None, 0, false);
             if let Some(file) = &mut segment.file {
-                // A file that was removed while it is open takes bytes all the same, and they go nowhere.
+                // A file deleted while open still accepts bytes, which are then lost.
                 if file.is_linked() {
                     match file.flush() {
                         Ok(()) => {
@@ -551,7 +551,7 @@ impl Writer {
                         Err(error) => failure = Some(error.to_string()),
                     }
                 } else {
-                    // Those that were flushed count again: they were recorded, and are lost all the same.
+                    // Messages already counted as recorded are lost with the file, so count them as lost.
                     gone = std::mem::take(&mut segment.messages) - segment.unflushed;
                     let all = gone + segment.unflushed;
                     failure = Some(format!("{}: was removed with {all} messages in it", file.part_path().display()));
@@ -570,7 +570,7 @@ impl Writer {
                 self.fail(index, &why);
             }
             if gone > 0 {
-                // The disk is well: no need to wait.
+                // The disk works: no need to wait.
                 self.segments[index].retry_at = Some(self.clock.now());
             }
         }

@@ -1,10 +1,10 @@
-//! Keeps every loop's memory (alarm, acknowledgement, gap watch) in the store beside the recordings, and notes of recordings
-//! that were found whole.
+//! Stores every loop's memory (alarm, acknowledgement, gap watch) beside the recordings, and notes which recordings were found
+//! complete.
 //!
-//! Its thread holds only the newest state of each loop, so its queue is bounded by the loops; states that come together
-//! are one transaction. It comes after the documents that were handed over for receivers before, so that
-//! no stored state hides one that was lost; an answer to a command waits for both. While the disk refuses, states wait,
-//! commands are answered with that, and the fault says so; nothing else stops.
+//! Its thread holds only the newest state of each loop, so the number of loops bounds its queue; states that come together form
+//! one transaction. A state is stored only after the documents that were handed over for receivers before it, so that no stored
+//! state implies a document that was lost. A command is answered only when both are stored. While the disk refuses, states
+//! wait, commands get that as their answer, and a fault is raised; nothing else stops.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -20,36 +20,36 @@ use crate::runtime::metrics::Metrics;
 use stiction_files::disk::Disk;
 use stiction_files::store::{STORE_NAME, StateStore, key_of, key_of_data_health, key_of_verified};
 
-/// How long states of windows wait for others to go with them.
+/// How long the states of windows wait for others to join the transaction.
 const GATHER: Duration = Duration::from_millis(200);
 /// Pause after an error before the store is tried again.
 const RETRY: Duration = Duration::from_secs(2);
-/// How long somebody waits for the disk before the reply says that it does not answer.
+/// How long a caller waits for the disk before the reply says that it does not respond.
 const LATE: Duration = Duration::from_secs(3);
 /// Name of its fault.
 const FAULT: &str = "state";
 
-/// Told once the state is on the disk, or why it is not.
+/// Called once the state is on disk, or with the reason why it is not.
 pub type Kept = Box<dyn FnOnce(Result<(), String>) + Send>;
 
-/// Somebody who waits for the disk.
+/// A caller who waits for the disk.
 struct Waiter {
-    /// Which of all who waited.
+    /// Number of this waiter among all so far.
     number: u64,
     since: Instant,
     kept: Kept,
 }
 
-/// Newest values by key; none where nothing is kept any more.
+/// Newest value of each key; `None` to delete it.
 type States = BTreeMap<String, Option<Vec<u8>>>;
 
 #[derive(Default)]
 struct Pending {
     states: States,
     waiters: Vec<Waiter>,
-    /// How many have waited so far.
+    /// Number of waiters so far.
     asked: u64,
-    /// The newest document that was handed over before.
+    /// Number of the newest document handed over before these states.
     after: u64,
     closed: bool,
 }
@@ -57,7 +57,7 @@ struct Pending {
 /// States of one transaction.
 struct Batch {
     states: States,
-    /// The last one who waits for it.
+    /// Number of the last waiter for it.
     asked: u64,
     after: u64,
     is_last: bool,
@@ -71,11 +71,11 @@ impl Pending {
 
 #[derive(Default)]
 struct Shared {
-    /// How far the store of documents is.
+    /// Progress of the document store.
     mark: Mark,
     pending: Mutex<Pending>,
     wake: Condvar,
-    /// The store was taken away: what it held must come again.
+    /// The store was deleted, so every loop's state is needed again.
     wants_all: AtomicBool,
 }
 
@@ -94,7 +94,7 @@ impl Drop for StateWriter {
 
 impl StateWriter {
     /// Starts the thread, which ends once the writer is dropped and all states are stored or cannot be. `store` is passed if it
-    /// is open already; `mark` says how far the store of documents is.
+    /// is already open; `mark` tracks the document store.
     ///
     /// # Errors
     /// The system refuses a thread.
@@ -111,7 +111,7 @@ impl StateWriter {
         Ok((state_writer, thread))
     }
 
-    /// Both ends without a thread: whoever holds the other one decides when it works.
+    /// Both ends without a thread: the caller decides when the other end works.
     #[must_use]
     pub fn pair(
         dir: &Path,
@@ -126,22 +126,22 @@ impl StateWriter {
         (Self { shared, prefix: prefix.to_owned() }, worker)
     }
 
-    /// Keeps a loop's state soon.
+    /// Stores a loop's state soon.
     pub fn keep(&self, loop_name: &str, json: Vec<u8>) {
         self.put(loop_name, Some(json), None);
     }
 
-    /// A loop has left the plant: nothing of it is kept.
+    /// A loop has left the plant: deletes its state.
     pub fn forget(&self, loop_name: &str) {
         self.put(loop_name, None, None);
     }
 
-    /// Keeps it at once and tells when it is on the disk.
+    /// Stores a state at once; `kept` is called when it is on disk.
     pub fn keep_then(&self, loop_name: &str, json: Vec<u8>, now: Instant, kept: Kept) {
         self.put(loop_name, Some(json), Some((now, kept)));
     }
 
-    /// Tells those who have waited long that the disk does not answer.
+    /// Tells those who have waited long that the disk does not respond.
     pub fn reply_late(&self, now: Instant) {
         let is_late = |waiter: &Waiter| now.saturating_duration_since(waiter.since) >= LATE;
         for waiter in self.shared.take_waiters(is_late) {
@@ -150,13 +150,13 @@ impl StateWriter {
         }
     }
 
-    /// Where notes of recordings go.
+    /// A handle for notes about recordings and data health.
     #[must_use]
     pub fn notes(&self) -> Notes {
         Notes(self.shared.clone())
     }
 
-    /// Whether every loop's state must be kept again; says so once.
+    /// Whether every loop's state must be stored again; true only once.
     #[must_use]
     pub fn wants_all(&self) -> bool {
         self.shared.wants_all.swap(false, Ordering::Relaxed)
@@ -168,7 +168,7 @@ impl StateWriter {
 }
 
 impl Shared {
-    /// Those who wait and are so, who wait no longer.
+    /// Removes and returns the waiters that satisfy the condition.
     fn take_waiters(&self, is_so: impl Fn(&Waiter) -> bool) -> Vec<Waiter> {
         let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
         let (taken, left) = std::mem::take(&mut pending.waiters).into_iter().partition(is_so);
@@ -194,27 +194,27 @@ impl Shared {
     }
 }
 
-/// Notes in the same store: of recordings that were found whole, and of data health.
+/// Notes in the same store: about recordings found complete, and about data health.
 pub struct Notes(Arc<Shared>);
 
 impl Notes {
-    /// A recording was found whole; `look` says by what it is recognised.
+    /// A recording was found complete; `look` identifies its state.
     pub fn verified(&self, file: &str, look: &str) {
         self.0.put(key_of_verified(file), Some(look.into()), None);
     }
 
-    /// What data health remembers under a prefix.
+    /// What data health remembers for a prefix.
     pub fn data_health(&self, prefix: &str, json: Vec<u8>) {
         self.0.put(key_of_data_health(prefix), Some(json), None);
     }
 
-    /// A recording is gone.
+    /// A recording no longer exists.
     pub fn forget_verified(&self, file: &str) {
         self.0.put(key_of_verified(file), None, None);
     }
 }
 
-/// The end that writes.
+/// The end that writes, on its thread.
 pub struct Worker {
     path: PathBuf,
     store: Option<StateStore>,
@@ -240,8 +240,8 @@ impl Worker {
         }
     }
 
-    /// Stores what waits now, without waiting for more; says whether it could. What comes after documents that are not stored
-    /// waits for the next turn.
+    /// Stores what waits now, without waiting for more; true if it could. States that follow unstored documents wait for the
+    /// next turn.
     pub fn turn(&mut self) -> bool {
         let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(documents) = self.shared.mark.look(pending.after) else { return true };
@@ -250,13 +250,13 @@ impl Worker {
         self.settle(batch, &documents)
     }
 
-    /// States that wait.
+    /// Number of waiting states.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner).states.len()
     }
 
-    /// Stores states and tells whoever waits for them, also what has become of the documents before them.
+    /// Stores states and replies to those who wait for them, including what happened to the documents before them.
     fn settle(&mut self, Batch { states, asked, .. }: Batch, documents: &Result<(), String>) -> bool {
         let saved = if states.is_empty() { self.reopen() } else { self.save(&states) };
         match &saved {
@@ -273,7 +273,7 @@ impl Worker {
         saved.is_ok()
     }
 
-    /// Waits for states, then a little for more of them unless somebody waits for an answer.
+    /// Waits for states, then a little for more, unless a caller waits for a reply.
     fn next(&self) -> Batch {
         let idle_still = |p: &Pending| p.states.is_empty() && !p.closed;
         let idle = |p: &mut Pending| idle_still(p);
@@ -281,7 +281,7 @@ impl Worker {
         let pending = if self.store.is_some() {
             self.shared.wake.wait_while(pending, idle).unwrap_or_else(PoisonError::into_inner)
         } else {
-            // A store that could not be opened is tried again though nobody asks: else its fault would outlive its cause.
+            // Tries again to open a failed store even without new states: otherwise its fault would outlast its cause.
             let waited = self.shared.wake.wait_timeout_while(pending, RETRY, idle);
             waited.unwrap_or_else(PoisonError::into_inner).0
         };
@@ -294,7 +294,7 @@ impl Worker {
         pending.take()
     }
 
-    /// Opens the store where it is not open.
+    /// Opens the store if it is not open.
     fn reopen(&mut self) -> Result<(), String> {
         if self.store.is_none() {
             self.store = Some(self.open()?);
@@ -302,7 +302,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Opens the store. A new one asks for every loop's state again.
+    /// Opens the store. If it is new, every loop's state is requested again.
     fn open(&self) -> Result<StateStore, String> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         let (store, _) = open_store(self.disk.as_ref(), folder, &self.faults, &self.metrics)?;
@@ -311,7 +311,7 @@ impl Worker {
     }
 
     fn save(&mut self, states: &States) -> Result<(), String> {
-        // A folder that was taken away takes the store along: what is written then goes nowhere.
+        // Deleting the folder deletes the open store's file, and later writes would be lost.
         if self.store.as_ref().is_some_and(|store| !store.is_linked()) {
             self.store = None;
         }
@@ -323,12 +323,12 @@ impl Worker {
         let gone = states.iter().filter(|(_, json)| json.is_none()).map(|(key, _)| key.as_str());
         store.change(kept, gone).map_err(|e| e.to_string())?;
         self.metrics.states_stored.inc_by(states.len() as u64);
-        // After an error it is reopened.
+        // On an error above, it is reopened next time.
         self.store = Some(store);
         Ok(())
     }
 
-    /// What could not be stored waits on, unless something newer has come.
+    /// Keeps states that could not be stored, unless newer ones have come.
     fn put_back(&self, states: States) {
         let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
         for (key, json) in states {
@@ -336,7 +336,7 @@ impl Worker {
         }
     }
 
-    /// Waits before the next attempt; somebody who asks is answered at once.
+    /// Waits before the next attempt; a caller who waits is served at once.
     fn pause(&self) {
         let calm = |p: &mut Pending| p.waiters.is_empty() && !p.closed;
         let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
@@ -397,7 +397,7 @@ mod tests {
     #[test]
     fn while_the_disk_refuses_people_are_told_and_nothing_is_forgotten() {
         let dir = tempfile::tempdir().unwrap();
-        // A file where the folder should be.
+        // A file in place of the folder.
         let place = dir.path().join("rec");
         std::fs::write(&place, b"").unwrap();
         let (state_writer, thread, faults) = state_writer(&place);

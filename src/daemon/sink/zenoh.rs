@@ -1,11 +1,11 @@
-//! Puts documents onto the bus and keeps the last one of each key for queries.
+//! Publishes documents on the bus, and keeps the last one of each key for queries.
 //!
-//! Nobody waits for its thread. When its queue is full it is overrun: from then until the queue is empty
-//! the newest document of each key is kept instead, and goes out after it. So a document may be replaced by a later one of
-//! its key, counted, but each alarm's last change goes out.
+//! Nothing waits for its thread. When the queue is full it is *overrun*: from then until the queue is empty, only the newest
+//! document of each key is kept, and is sent after the queue. So a document may be replaced by a later one of its key, which is
+//! counted, but each alarm's last change is sent.
 //!
-//! Readers are not waited for either. Documents that are too much for a reader are dropped for it, except for alarms, which
-//! are sent again a little later; Zenoh closes the link of a reader that takes no alarm for five seconds.
+//! It does not wait for readers either. A reader that is too slow misses documents. Alarms that it missed are sent again a
+//! little later; Zenoh closes the link of a reader that takes no alarm for five seconds.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -23,15 +23,15 @@ use crate::runtime::metrics::Metrics;
 use crate::runtime::queue::{Budget, Room};
 use stiction_engine::codec::topic::Kind;
 
-/// Documents that may wait for the bus.
+/// Most documents that may wait for the bus.
 pub const QUEUE: usize = 16_384;
-/// Bytes that may wait for it, and as many of documents that came while it was overrun.
+/// Bytes that may wait for it, and as many again for documents that come during an overrun.
 pub const QUEUE_BYTES: usize = 128 << 20;
-/// After so long an alarm goes out again for readers that did not take it, so often.
+/// Delays after which an alarm is sent again to readers that missed it.
 const AGAIN_AFTER: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(6)];
-/// Alarms that may wait for that.
+/// Most alarms that may wait to be sent again.
 const AGAIN: usize = 1024;
-/// How long slow readers stay a fault after the last document that one of them did not take.
+/// How long slow readers remain a fault after the last missed document.
 const SLOW_SHOWN: Duration = Duration::from_secs(60);
 
 /// One document on its way out.
@@ -39,20 +39,19 @@ const SLOW_SHOWN: Duration = Duration::from_secs(60);
 pub struct Publication {
     /// Its key.
     pub key: String,
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
-    /// Its JSON. None where the last one is no longer this daemon's to answer with: queries are not answered with it any
-    /// more, and nothing goes out.
+    /// Its JSON. `None` withdraws the last document: queries are no longer answered with it, and nothing is sent.
     pub document: Option<Vec<u8>>,
 }
 
 impl Publication {
-    /// Bytes that it holds while it waits.
+    /// Bytes that it occupies while it waits.
     fn bytes(&self) -> usize {
         size_of::<Self>() + self.key.len() + self.document.as_ref().map_or(0, Vec::len)
     }
 
-    /// Whether it goes out whatever else waits: alarms and removals are small.
+    /// Whether it is sent whatever else waits: alarms and removals are small.
     fn is_urgent(&self) -> bool {
         self.kind == Kind::Alarm || self.document.is_none()
     }
@@ -60,14 +59,14 @@ impl Publication {
 
 type Waiting = (Publication, Option<Room>);
 
-/// What came while the queue was full: the newest document of each key.
+/// Documents that came while the queue was full: the newest of each key.
 #[derive(Debug, Default)]
 struct Overrun {
     is_on: bool,
     late: BTreeMap<String, Waiting>,
 }
 
-/// The engine's end: the way to the publisher's thread.
+/// The engine's end, for handing documents over.
 #[derive(Clone)]
 pub struct Publisher {
     queue: Sender<Waiting>,
@@ -76,7 +75,7 @@ pub struct Publisher {
     metrics: Arc<Metrics>,
 }
 
-/// The other end: documents in the order in which they go out.
+/// The other end, which gives documents in the order of sending.
 pub struct Outgoing {
     queue: Receiver<Waiting>,
     overrun: Arc<Mutex<Overrun>>,
@@ -84,7 +83,7 @@ pub struct Outgoing {
 }
 
 impl Publisher {
-    /// Starts the thread. It ends when every `Publisher` is gone and nothing waits.
+    /// Starts the thread, which ends when every `Publisher` is dropped and nothing waits.
     ///
     /// # Errors
     /// The system refuses a thread.
@@ -140,13 +139,13 @@ impl Publisher {
         }
     }
 
-    /// Documents that wait.
+    /// Number of waiting documents.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.queue.len() + self.overrun.lock().unwrap_or_else(PoisonError::into_inner).late.len()
     }
 
-    /// Bytes that wait, and that may.
+    /// Bytes waiting, and their limit.
     #[must_use]
     pub fn bytes(&self) -> [usize; 2] {
         [self.budgets.iter().map(Budget::used).sum(), self.budgets.iter().map(Budget::limit).sum()]
@@ -154,10 +153,10 @@ impl Publisher {
 }
 
 impl Outgoing {
-    /// What goes out next, if it comes until then.
+    /// The next document, if one comes before `until`.
     ///
     /// # Errors
-    /// Nothing came, or nothing can come any more.
+    /// None came, or none can come any more.
     fn next_until(&mut self, until: Option<Instant>) -> Result<Publication, RecvTimeoutError> {
         if let Some(publication) = self.next_now() {
             return Ok(publication);
@@ -166,11 +165,11 @@ impl Outgoing {
             Some(until) => self.queue.recv_deadline(until),
             None => self.queue.recv().map_err(|_| RecvTimeoutError::Disconnected),
         };
-        // While the queue was empty an overrun may have begun and ended with its senders.
+        // An overrun may have begun, and its senders gone, while the queue was empty.
         got.map(|(publication, _room)| publication).or_else(|error| self.next_now().ok_or(error))
     }
 
-    /// What goes out next, if something waits: first the queue, then what came while it was full.
+    /// The next document if one waits: first from the queue, then from the overrun.
     pub fn next_now(&mut self) -> Option<Publication> {
         if let Some((publication, _room)) = self.late.pop_front() {
             return Some(publication);
@@ -179,7 +178,7 @@ impl Outgoing {
             return Some(publication);
         }
         let mut overrun = self.overrun.lock().unwrap_or_else(PoisonError::into_inner);
-        // The engine's end adds to the queue under this lock: what it holds now is older than what is late.
+        // Senders add to the queue under this lock, so what is in it now is older than the overrun.
         if let Ok((publication, _room)) = self.queue.try_recv() {
             return Some(publication);
         }
@@ -197,9 +196,9 @@ struct Bus {
     last: LastValues,
     metrics: Arc<Metrics>,
     faults: Arc<Faults>,
-    /// When a document last met a reader without room.
+    /// When a reader last had no room for a document.
     behind_at: Option<Instant>,
-    /// Alarms that some reader did not take, when they go out again, and how often they have.
+    /// Alarms that some reader missed: when to send them again, and how often that was done.
     again: VecDeque<(Instant, String, usize)>,
 }
 
@@ -228,7 +227,7 @@ impl Bus {
         }
     }
 
-    /// Puts a document onto the bus; false where some reader did not take it at once.
+    /// Publishes a document; false if some reader did not take it at once.
     fn put(&mut self, key: &str, kind: Kind, value: LastValue) -> bool {
         let (priority, congestion) = match kind {
             Kind::Alarm => (Priority::InteractiveHigh, CongestionControl::BlockFirst),
@@ -243,7 +242,7 @@ impl Bus {
             return true;
         }
         self.metrics.published.inc();
-        // Zenoh takes its time where a reader has no room, the first time of many.
+        // Zenoh blocks for a while when a reader has no room; of several documents in a row only the first may show it.
         let taken = begun.elapsed() < NOT_TAKEN;
         if !taken {
             self.reader_is_behind();
@@ -251,8 +250,8 @@ impl Bus {
         taken
     }
 
-    /// Counts a document that met a reader without room. A busy machine may stop this thread for as long now and then, so that
-    /// a single one is no fault.
+    /// Counts a document that a reader had no room for. A busy machine may also stop this thread for as long now and then, so a
+    /// single one is not a fault.
     fn reader_is_behind(&mut self) {
         self.metrics.readers_behind.inc();
         let count = self.metrics.readers_behind.get();
@@ -271,7 +270,7 @@ impl Bus {
         }
     }
 
-    /// Sends alarms again that some reader did not take: what is under their keys now.
+    /// Sends missed alarms again, with the current document under their key.
     fn repeat_alarms(&mut self) {
         while self.again.front().is_some_and(|(at, ..)| *at <= Instant::now()) {
             let Some((_, key, done)) = self.again.pop_front() else { return };
@@ -301,7 +300,7 @@ mod tests {
     fn a_full_queue_holds_nobody_up_and_the_newest_of_each_key_goes_out_after_it() {
         let metrics = Arc::new(Metrics::default());
         let (publisher, mut outgoing) = Publisher::pair(metrics.clone());
-        // Nobody takes anything: were this to wait, it would not end.
+        // Nothing is ever taken: if publishing waited, this would not end.
         for number in 0..QUEUE + 10_000 {
             publisher.publish(publication(&format!("a{}", number % 100), Kind::Alarm, &number.to_string()));
         }

@@ -1,7 +1,7 @@
-//! Who asks over the bus, how many of its questions may wait at a time, and how often it may command.
+//! Clients who send requests over the bus: limits how many of their queries may wait, and how often they may send commands.
 //!
-//! Zenoh does not say who sent a query. It reads each link in a task of its own and calls queryables from there, so the
-//! task names the link. Clients behind one router share its link.
+//! Zenoh does not say who sent a query. It reads each link in a separate task and calls queryables from there, so the task
+//! identifies the link. Clients behind one router share its link.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,13 +10,13 @@ use std::time::Duration;
 use crate::runtime::queue::Rate;
 use stiction_engine::config::Commands;
 
-/// Queries that may wait at a time.
+/// Most queries that may wait.
 pub const WAITING: usize = 1024;
-/// Those of them that may have come by one link.
+/// Most queries of one link that may wait.
 pub const WAITING_PER_LINK: usize = 256;
-/// Part of what all may command that one link may.
+/// Fraction of the total command rate that one link may use.
 const SHARE_PER_LINK: f64 = 0.5;
-/// Links that are remembered before those that have nothing waiting are looked through.
+/// Number of remembered links beyond which idle ones are dropped.
 const REMEMBERED: usize = 256;
 
 /// A link of the bus.
@@ -24,7 +24,7 @@ const REMEMBERED: usize = 256;
 pub struct Link(pub u64);
 
 impl Link {
-    /// The link whose message is being taken on this thread.
+    /// The link whose message the current thread is processing.
     #[must_use]
     pub fn current() -> Self {
         Self(tokio::task::try_id().and_then(|id| id.to_string().parse().ok()).unwrap_or(0))
@@ -35,7 +35,7 @@ impl Link {
 struct Asker {
     waiting: usize,
     commands: Rate,
-    /// When it last commanded, s; minus infinity if never.
+    /// Time of its last command, s; minus infinity before the first.
     at_s: f64,
 }
 
@@ -46,11 +46,11 @@ struct Inner {
     per_minute: f64,
 }
 
-/// All who ask. Copies are the same ones.
+/// All links and their limits. Clones share them.
 #[derive(Debug, Clone, Default)]
 pub struct Askers(Arc<Mutex<Inner>>);
 
-/// The place of a query that waits; free again when dropped.
+/// A waiting query's place, which is freed on drop.
 #[derive(Debug)]
 pub struct WaitingSlot {
     askers: Askers,
@@ -58,7 +58,7 @@ pub struct WaitingSlot {
 }
 
 impl Askers {
-    /// Nobody yet, under these settings.
+    /// No links yet, under these settings.
     #[must_use]
     pub fn new(settings: &Commands) -> Self {
         let askers = Self::default();
@@ -66,7 +66,7 @@ impl Askers {
         askers
     }
 
-    /// These settings apply from now on, to links that have not commanded yet too.
+    /// New settings, which also apply to links that have not sent a command yet.
     pub fn limit(&self, settings: &Commands) {
         let mut inner = self.lock();
         inner.per_minute = f64::from(settings.per_minute);
@@ -74,7 +74,7 @@ impl Askers {
         inner.links.values_mut().for_each(|asker| asker.commands = fresh);
     }
 
-    /// A place for one more query of a link; none where it, or all together, have as many as may wait.
+    /// A place for one more query of a link; `None` if the link, or all links together, have the most that may wait.
     #[must_use]
     pub fn admit(&self, link: Link) -> Option<WaitingSlot> {
         let mut inner = self.lock();
@@ -86,7 +86,7 @@ impl Askers {
         Some(WaitingSlot { askers: self.clone(), link })
     }
 
-    /// Whether a link may command now, at this time since the start.
+    /// Whether a link may send a command at this time since the start.
     pub fn may_command(&self, link: Link, now: Duration) -> bool {
         let mut inner = self.lock();
         let asker = inner.asker(link);
@@ -94,7 +94,7 @@ impl Askers {
         asker.commands.allow(asker.at_s)
     }
 
-    /// Queries that wait.
+    /// Number of waiting queries.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.lock().waiting
@@ -113,7 +113,7 @@ impl Inner {
 
     fn asker(&mut self, link: Link) -> &mut Asker {
         if self.links.len() >= REMEMBERED && !self.links.contains_key(&link) {
-            // A minute restores what a link may command, so nothing is lost with it.
+            // After a minute a link may use its full rate again, so forgetting it changes nothing.
             let newest_s = self.links.values().map(|asker| asker.at_s).fold(0.0, f64::max);
             self.links.retain(|_, asker| asker.waiting > 0 || asker.at_s > newest_s - 60.0);
         }
@@ -123,7 +123,7 @@ impl Inner {
 }
 
 impl WaitingSlot {
-    /// The link that it belongs to.
+    /// The link of the query.
     #[must_use]
     pub const fn link(&self) -> Link {
         self.link

@@ -1,17 +1,18 @@
-//! Whether file descriptors run out: connections take them, and without any nothing is recorded and nobody connects.
+//! Watches for a shortage of file descriptors: connections use them, and without free ones nothing is recorded and nobody can
+//! connect.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::runtime::faults::Faults;
 
-/// How often it is looked.
+/// Interval between checks.
 const EVERY: Duration = Duration::from_secs(2);
-/// Part of the limit from which it is a fault, and how long it stays one.
+/// Fraction of the limit in use that is a fault, and how long it remains one.
 const MANY: f64 = 0.8;
 const SHOWN: Duration = Duration::from_secs(60);
 
-/// Watches the descriptors of this process for ever, where the system tells of them.
+/// Watches this process's descriptors for ever, on systems that report them.
 pub async fn watch(faults: Arc<Faults>) {
     loop {
         tokio::time::sleep(EVERY).await;
@@ -21,14 +22,14 @@ pub async fn watch(faults: Arc<Faults>) {
     }
 }
 
-/// Descriptors that are open, and that may be.
+/// Open descriptors, and their limit.
 fn counts() -> Option<[u64; 2]> {
     #[cfg(target_os = "linux")]
     {
         let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).current?;
         let open = match std::fs::read_dir("/proc/self/fd") {
             Ok(entries) => entries.count() as u64,
-            // Not even one was left to look with.
+            // Not even one was left for reading the list.
             Err(error) if error.raw_os_error() == Some(rustix::io::Errno::MFILE.raw_os_error()) => limit,
             Err(_) => return None,
         };

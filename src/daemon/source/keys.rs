@@ -1,4 +1,4 @@
-//! Which keys a daemon subscribes to, and which of their messages belong to its shard.
+//! The keys that a daemon subscribes to, and which of their messages belong to its shard.
 
 use std::collections::{BTreeSet, HashSet};
 
@@ -8,8 +8,8 @@ use stiction_engine::codec::topic::{Leaf, Topic};
 use stiction_engine::config::{Config, NAME_MARK};
 use stiction_engine::shard::Shard;
 
-/// The keys that a daemon subscribes to. Where loops are discovered: everything below its prefix, and each foreign key that
-/// is mapped. A shard whose loops are all named: the keys of its own loops, and those whose payloads carry several loops.
+/// The keys that a daemon subscribes to. If loops are discovered: everything below its prefix, and each mapped key outside it.
+/// For a shard with only configured loops: the keys of its loops, and those whose payloads carry several loops.
 #[must_use]
 pub fn subscriptions(config: &Config) -> Vec<String> {
     let everything = (config.input.discover || config.shard.is_whole()).then(|| format!("{}/**", config.site.prefix));
@@ -27,7 +27,7 @@ pub fn subscriptions(config: &Config) -> Vec<String> {
     wide.into_iter().chain(single).collect()
 }
 
-/// Whether one of these key expressions includes a key: what another subscription receives would arrive twice.
+/// Whether one of these key expressions includes a key: a second subscription would receive its messages twice.
 fn covers(keys: &[String], key: &str) -> bool {
     let includes = |wide: &String| keyexpr::new(wide).is_ok_and(|w| keyexpr::new(key).is_ok_and(|k| w.includes(k)));
     keys.iter().any(includes)
@@ -40,7 +40,7 @@ fn carriers(config: &Config) -> Vec<String> {
     config.bundles.iter().map(|bundle| bundle.key.as_str()).chain(mapped).map(str::to_owned).collect()
 }
 
-/// Tells a shard's messages from those of other shards, before they take a place in the engine's queue.
+/// Separates a shard's messages from those of other shards before they take up the engine's queue.
 #[derive(Debug)]
 pub struct ShardFilter {
     shard: Shard,
@@ -50,7 +50,7 @@ pub struct ShardFilter {
 }
 
 impl ShardFilter {
-    /// The filter of a configuration; `None` where all loops are this daemon's.
+    /// The filter for a configuration; `None` if this daemon serves all loops.
     #[must_use]
     pub fn new(config: &Config) -> Option<Self> {
         let mapped = config.loops.iter().flat_map(|l| l.keys.iter().map(|(_, key)| key.clone())).collect();
@@ -58,7 +58,7 @@ impl ShardFilter {
         (!shard.is_whole()).then(|| Self { shard, prefix, carriers: carriers(config), mapped })
     }
 
-    /// Whether a key may hold a loop of this shard.
+    /// Whether a key may carry a loop of this shard.
     #[must_use]
     pub fn admits(&self, key: &str) -> bool {
         match Topic::parse(Some(&self.prefix), key) {
@@ -113,7 +113,7 @@ mod tests {
             let key = format!("p/{name}/pv");
             assert!(zero.admits(&key) != one.admits(&key), "{key}");
         }
-        // Mapped keys, bundles, and what is no raw signal below the prefix pass to both.
+        // Mapped keys, bundles, and keys below the prefix that are not raw signals pass to both.
         for key in ["p/B/op", "p/C/pv", "p/gw/L1/pv", "p/L1/other", "elsewhere/L1/pv"] {
             assert!(zero.admits(key) && one.admits(key), "{key}");
         }

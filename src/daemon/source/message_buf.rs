@@ -1,13 +1,13 @@
-//! The buffer of a message: key, encoding and payload. When dropped it is used for a later message.
+//! The buffer of a message: key, encoding and payload. After it is dropped, a later message reuses it.
 
 use crossbeam_channel::{Receiver, Sender};
 
-/// Buffers that lie ready at most: more than wait for an engine that keeps up.
+/// Most free buffers kept: more than wait for an engine that keeps up.
 const READY: usize = 1024;
-/// Buffers that have grown beyond this are not kept, bytes.
+/// Larger buffers are not kept, bytes.
 const MAX_KEPT: usize = 16 << 10;
 
-/// The buffers; copies share them.
+/// The pool of buffers; clones share it.
 #[derive(Debug, Clone)]
 pub struct BufferPool {
     back: Sender<Vec<u8>>,
@@ -19,7 +19,7 @@ pub struct BufferPool {
 pub struct MessageBuf {
     bytes: Vec<u8>,
     key: usize,
-    /// Where the encoding ends, if the message has one.
+    /// End of the encoding, if the message has one.
     encoding: Option<usize>,
     back: Sender<Vec<u8>>,
 }
@@ -51,7 +51,7 @@ impl MessageBuf {
         std::str::from_utf8(&self.bytes[..self.key]).unwrap_or_default()
     }
 
-    /// The encoding that the message says it has, if it says one.
+    /// The encoding stated by the message, if any.
     #[must_use]
     pub fn encoding(&self) -> Option<&str> {
         Some(std::str::from_utf8(&self.bytes[self.key..self.encoding?]).unwrap_or_default())
@@ -69,7 +69,7 @@ impl Drop for MessageBuf {
         let mut bytes = std::mem::take(&mut self.bytes);
         if bytes.capacity() <= MAX_KEPT {
             bytes.clear();
-            // Where enough lie ready already this one goes.
+            // If enough free buffers are kept, this one is dropped.
             let _ = self.back.try_send(bytes);
         }
     }

@@ -1,4 +1,4 @@
-//! Where samples come from: the bus, behind a bounded queue that the engine drains.
+//! Source of samples: the bus, through a bounded queue that the engine drains.
 
 pub mod askers;
 pub mod descriptors;
@@ -21,27 +21,27 @@ use message_buf::{BufferPool, MessageBuf};
 use shares::{Share, Shares};
 use stiction_engine::codec::MAX_PAYLOAD;
 
-/// One message as it arrived, before anything was read from it.
+/// A message as it arrived, before any of it is interpreted.
 #[derive(Debug)]
 pub struct Message {
     /// Key, encoding and bytes.
     pub buf: MessageBuf,
     /// The bus's time stamp, ns since 1970.
     pub bus_ns: Option<i64>,
-    /// Who published it, if it says so.
+    /// Id of the publisher, if the message has one.
     pub sender: Option<u64>,
     /// When it arrived, ns since 1970.
     pub arrival_ns: i64,
     /// Its bytes of the queue's budget.
     pub room: Room,
-    /// Its part of what its key may hold of the queue.
+    /// Its part of its key's share of the queue.
     pub share: Share,
 }
 
-/// Requests that may wait for the engine: more than all who may ask have at a time.
+/// Requests that may wait for the engine: more than can wait from all askers.
 pub const CONTROL_QUEUE: usize = 2 * askers::WAITING;
 
-/// The way into the engine's queue: bounded, never waits, counts what finds no place.
+/// The entrance to the engine's queue: never waits, and counts the messages it has no room for.
 #[derive(Clone)]
 pub struct Intake {
     queue: Sender<Message>,
@@ -57,16 +57,16 @@ pub struct Intake {
 pub struct Envelope<'a> {
     /// Its key.
     pub key: &'a str,
-    /// The encoding that it says it has, if it says one.
+    /// The encoding stated by the message, if any.
     pub encoding: Option<&'a str>,
     /// The bus's time stamp, ns since 1970.
     pub bus_ns: Option<i64>,
-    /// Who published it, if it says so.
+    /// Id of the publisher, if the message has one.
     pub sender: Option<u64>,
 }
 
 impl Intake {
-    /// Into this queue, within this budget and these shares of it.
+    /// An entrance to this queue, with this budget and these shares of it.
     #[must_use]
     pub fn new(
         queue: Sender<Message>,
@@ -77,13 +77,13 @@ impl Intake {
         Self { queue, budget, shares, pool: BufferPool::default(), metrics, clock }
     }
 
-    /// A deletion: the plant has none that mean anything.
+    /// Counts a deletion, which has no meaning here.
     pub fn delete(&self) {
         self.metrics.deletes.inc();
     }
 
-    /// Takes a message of so many bytes; the payload is asked for only where there is room for it. Once as many messages
-    /// have come as wait at a time, no memory is taken for a further one.
+    /// Takes a message of this many bytes; the payload is copied only if there is room for it. Once the buffer pool has grown
+    /// to the usual number of waiting messages, this allocates no memory.
     pub fn take(&self, envelope: &Envelope<'_>, bytes: usize, payload: impl FnOnce(&mut Vec<u8>)) {
         self.metrics.messages.inc();
         if bytes > MAX_PAYLOAD {

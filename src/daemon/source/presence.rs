@@ -1,4 +1,4 @@
-//! Whether the daemon is on the bus at all, alone under its id, and the only one that publishes under its keys.
+//! Checks that the daemon is on the bus, alone under its id, and the only publisher under its keys.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,11 +15,11 @@ use stiction_engine::shard::Shard;
 
 /// Name of the fault while the session cannot listen.
 pub const LISTENING: &str = "listening";
-/// How often it is looked.
+/// Interval between checks.
 const EVERY: Duration = Duration::from_secs(5);
 /// How long a second session may look for the id.
 const PROBE_WITHIN: Duration = Duration::from_secs(3);
-/// How long foreign documents stay a fault after the last one.
+/// How long foreign documents remain a fault after the last one.
 const FOREIGN_SHOWN: Duration = Duration::from_secs(60);
 
 /// Watches the session for ever.
@@ -55,7 +55,7 @@ pub async fn watch(
     }
 }
 
-/// Why Zenoh could not listen, without the places in its source that its errors name.
+/// Why Zenoh could not listen, without the places in Zenoh's source that its errors name.
 #[must_use]
 pub fn listener_problem(listen: &[String], error: &str) -> String {
     match error.contains("in use") {
@@ -64,7 +64,7 @@ pub fn listener_problem(listen: &[String], error: &str) -> String {
     }
 }
 
-/// Watches a session that could not listen until it can. The ports are tried by the session itself.
+/// Watches a session that could not listen until it can. The session itself keeps trying the ports.
 pub async fn watch_listening(session: zenoh::Session, config: zenoh::Config, faults: Arc<Faults>) {
     let wanted: Vec<String> = config.get_json("listen/endpoints").map(|text| ports_of(&text)).unwrap_or_default();
     loop {
@@ -82,7 +82,7 @@ fn ports_of(text: &str) -> Vec<String> {
     endpoints.map(|e| e.rfind(':').map_or_else(|| e.to_owned(), |at| e[at..].to_owned())).collect()
 }
 
-/// Whether somebody else on the bus lives under this id: asked by a session with another one.
+/// Whether another daemon on the bus uses this id, checked by a session with a different id.
 async fn taken(config: &zenoh::Config, prefix: &str, id: &str) -> bool {
     let mut config = config.clone();
     let other = format!("{:?}", format!("{:x}", now_ns().max(1)));
@@ -106,10 +106,10 @@ async fn taken(config: &zenoh::Config, prefix: &str, id: &str) -> bool {
     matches!(tokio::time::timeout(4 * PROBE_WITHIN, asked).await, Ok(Ok(Some(true))))
 }
 
-/// Watches for other daemons that do this one's work: documents of its loops under its keys, and health under its id.
+/// Watches for other daemons that do the same work: documents of its loops under its keys, and health under its id.
 ///
 /// # Errors
-/// A key that Zenoh refuses.
+/// Zenoh refuses a key.
 pub async fn watch_own_keys(
     session: &zenoh::Session,
     (prefix, daemon_id, shard): (&str, &str, Shard),

@@ -1,7 +1,7 @@
-//! What is asked over the bus: last documents and schemas, commands on alarms, gap diagnoses.
+//! Queries over the bus: last documents and schemas, commands on alarms, gap diagnoses.
 //!
-//! The callbacks run on the threads that also bring samples. They only read the query and pass it on: to the engine by the
-//! control queue, or to the replies' thread.
+//! The callbacks run on the threads that also bring samples, so they only read the query and pass it on: to the engine through
+//! the control queue, or to the threads that reply.
 
 use std::sync::{Arc, PoisonError};
 use std::time::Instant;
@@ -21,10 +21,10 @@ use stiction_engine::codec::topic::{self, Kind, Leaf, Topic};
 use stiction_engine::config::Config;
 use stiction_engine::shard::Shard;
 
-/// What queries are answered with.
+/// Handles the queries.
 #[derive(Clone)]
 pub struct Queries {
-    /// The site's prefix, and which of its loops are this daemon's.
+    /// The site's prefix, and which of its loops this daemon serves.
     prefix: Arc<str>,
     shard: Shard,
     control: Sender<Control>,
@@ -35,7 +35,7 @@ pub struct Queries {
 }
 
 impl Queries {
-    /// Answers for this configuration, by the engine's control queue and the replies' thread.
+    /// For this configuration, with the engine's control queue and the threads that reply.
     #[must_use]
     pub fn new(
         config: &Config,
@@ -47,11 +47,11 @@ impl Queries {
         Self { prefix, shard: config.shard, control, replies, askers, metrics, started: Instant::now() }
     }
 
-    /// Answers queries for as long as the queryables live. The schemas of what this daemon publishes, whatever its version,
-    /// are among the last documents from now on.
+    /// Answers queries for as long as the queryables live. Also puts the schemas of this build's documents among the last
+    /// documents.
     ///
     /// # Errors
-    /// A key that Zenoh refuses.
+    /// Zenoh refuses a key.
     pub async fn answer(
         self,
         session: &zenoh::Session,
@@ -130,7 +130,7 @@ impl Queries {
         self.pass_on(asked, |answer| Control::GapRun { loop_name, by, pool, answer });
     }
 
-    /// Hands a request to the engine. Where its queue is full the answer is dropped, and the query ends with that.
+    /// Passes a request to the engine. If the queue is full, the request is dropped, and with it the query is refused.
     fn pass_on(&self, asked: PendingQuery, request: impl FnOnce(Answer) -> Control) {
         let refused = self.metrics.clone();
         let pending = Pending { asked: Some(asked), refused };
@@ -144,7 +144,7 @@ impl Queries {
         asked.reply(Reply::Refusal(why));
     }
 
-    /// The one loop whose document of this kind a query names.
+    /// The single loop whose document of this kind a query names.
     fn loop_of(&self, asked: &PendingQuery, kind: Kind) -> Option<String> {
         let key = asked.query()?.key_expr().as_str();
         let parsed = Topic::parse(Some(&self.prefix), key).filter(|t| t.leaf == Leaf::Document(kind))?;
@@ -152,7 +152,7 @@ impl Queries {
     }
 }
 
-/// A request that is with the engine. One that the engine never answers is refused with that.
+/// A request held by the engine. If it is dropped unanswered, the query is refused.
 struct Pending {
     asked: Option<PendingQuery>,
     refused: Arc<Metrics>,

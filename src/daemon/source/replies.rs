@@ -1,9 +1,10 @@
-//! What goes back to those who ask over the bus: last documents, answers to commands, refusals.
+//! Replies to queries over the bus: last documents, answers to commands, refusals.
 //!
-//! Sending waits for the reader, for five seconds until Zenoh closes its link. So separate threads do it, each for one link
-//! at a time: a reader that stops reading holds up only its own answers, and once its link is closed what waits
-//! for it is given up. A wildcard query copies nothing: it goes through the last documents a few at a time. Replies have a
-//! priority of their own (see [`super::zenoh::session_config`]), because a publisher would wait behind one of its priority.
+//! Sending waits for the reader, for up to five seconds until Zenoh closes its link. So it is done on separate threads, each
+//! serving one link at a time: a reader that stops reading delays only its own replies, and once its link is closed the rest of
+//! them is dropped. A wildcard query is not copied in advance: it goes through the last documents a few at a time. Replies have
+//! a priority that no document has (see [`super::zenoh::session_config`]), because a publisher would wait behind one of its
+//! priority.
 
 use std::collections::{HashMap, VecDeque};
 use std::mem::take;
@@ -23,46 +24,46 @@ use crate::runtime::last_values::{LastValue, LastValues};
 use crate::runtime::metrics::Metrics;
 use crate::runtime::queue::{Budget, Room};
 
-/// Bytes of queries and answers that may wait, and of those queries that found no place.
+/// Bytes of queries and replies that may wait, and of the queries beyond that which wait to be refused.
 const WAITING_BYTES: usize = 32 << 20;
 const SURPLUS_BYTES: usize = 8 << 20;
-/// Queries without a place that may wait for their refusal.
+/// Most queries that may wait to be refused.
 const SURPLUS: usize = 8192;
-/// How often a link whose query found no room for its refusal looks for it again.
+/// Pause between attempts when there is no room even for a refusal.
 const ROOM_AGAIN: Duration = Duration::from_millis(10);
-/// Most threads that send at a time. If that many links stop reading, others wait for one of them.
+/// Most threads that send at a time. If that many links stop reading, others wait until one of them is closed.
 const THREADS: usize = 64;
 /// How long a thread waits for work before it ends.
 const IDLE: Duration = Duration::from_secs(10);
-/// A reply that took this long met a link that stopped reading; Zenoh closes it.
+/// A reply that took this long went to a link that stopped reading; Zenoh closes it.
 const STUCK: Duration = Duration::from_secs(4);
-/// How long one query may take in all.
+/// Time limit of one query in total.
 const QUERY_WITHIN: Duration = Duration::from_secs(120);
-/// Replies of one link before the next link has its turn.
+/// Replies to one link before it is the next link's turn.
 const AT_ONCE: usize = 32;
-/// Keys that are looked through while the last documents are locked.
+/// Keys examined while the last documents are locked.
 const KEYS_AT_ONCE: usize = 2048;
 
-/// What goes back in answer to a query.
+/// Content of a reply.
 #[derive(Debug)]
 pub enum Reply {
     /// A document under the query's own key.
     Document(Vec<u8>),
-    /// Why there is none.
+    /// A refusal, with its reason.
     Refusal(String),
-    /// The last documents under the keys that it names.
+    /// The last documents that the query selects.
     Last,
     /// Nothing.
     Nothing,
 }
 
-/// Where replies go. Dropping it ends the query.
+/// Destination of replies. Dropping it ends the query.
 pub trait Outlet {
-    /// The key expression that is asked for.
+    /// The key expression of the query.
     fn asked(&self) -> &keyexpr;
     /// Sends a document under a key.
     fn document(&self, key: &str, value: LastValue);
-    /// Sends the reason why there is none.
+    /// Sends a refusal with this reason.
     fn refusal(&self, why: &str);
 }
 
@@ -85,7 +86,7 @@ impl Outlet for Query {
     }
 }
 
-/// The way to the threads.
+/// Hands queries and replies to the threads.
 #[derive(Clone)]
 pub struct Replies {
     pool: Pool<Query>,
@@ -95,7 +96,7 @@ pub struct Replies {
     metrics: Arc<Metrics>,
 }
 
-/// A query that waits for its answer. Without one it ends with none; never on this thread.
+/// A query that waits for its reply. Dropped without one it ends without one, but never on the current thread.
 pub struct PendingQuery {
     query: Option<Query>,
     place: Option<WaitingSlot>,
@@ -104,7 +105,7 @@ pub struct PendingQuery {
 }
 
 impl Replies {
-    /// Answers from these last documents.
+    /// Replies from these last documents.
     ///
     /// # Errors
     /// The system refuses a thread.
@@ -119,10 +120,10 @@ impl Replies {
         Ok(Self { pool, surplus, askers, budgets: [WAITING_BYTES, SURPLUS_BYTES].map(Budget::new), metrics })
     }
 
-    /// Takes a query that is to be answered; none where too many of its link wait.
+    /// Admits a query for a reply; `None` if its link has too many waiting.
     #[must_use]
     pub fn admit(&self, mut query: Query) -> Option<PendingQuery> {
-        // Nobody reads what a query brings along, up to four megabytes: it must not wait with it.
+        // Nobody reads what comes with a query, up to four megabytes, so it is not kept while the query waits.
         for unread in [query.payload_mut().map(take), query.attachment_mut().map(take)] {
             drop(unread);
         }
@@ -143,14 +144,14 @@ impl Replies {
             None => Some(query),
         };
         if let Some(query) = query {
-            // The task of this link waits; Zenoh's thread goes on with those of others.
+            // This link's task waits; Zenoh's thread continues with the tasks of others.
             tokio::task::block_in_place(|| self.wait_to_refuse(query, bytes));
         }
         None
     }
 
-    /// Hands a query to the thread that refuses, once that has room. It must not end here: the end of a query is a message,
-    /// too, and waits for the reader on the thread that also brings samples.
+    /// Hands a query to the refusing thread once that has room. The query must not be dropped here: ending it sends a message,
+    /// which would wait for the reader on the thread that also brings samples.
     fn wait_to_refuse(&self, query: Query, bytes: usize) {
         let bytes = bytes.min(SURPLUS_BYTES);
         let room = loop {
@@ -170,7 +171,7 @@ impl PendingQuery {
         self.query.as_ref()
     }
 
-    /// The link by which it came.
+    /// The link it came from.
     #[must_use]
     pub fn link(&self) -> Link {
         self.place.as_ref().map_or(Link(0), WaitingSlot::link)
@@ -215,7 +216,7 @@ impl Left {
     }
 }
 
-/// A place among the last documents.
+/// A position in the last documents.
 #[derive(Default)]
 struct Cursor {
     after: Option<String>,
@@ -223,7 +224,7 @@ struct Cursor {
 }
 
 impl Cursor {
-    /// The next documents that an expression names.
+    /// The next documents that an expression selects.
     fn next(&mut self, asked: &keyexpr, last: &LastValues) -> Vec<(String, LastValue)> {
         let last = last.read().unwrap_or_else(PoisonError::into_inner);
         if !asked.is_wild() {
@@ -248,18 +249,18 @@ impl Cursor {
     }
 }
 
-/// One answer on its way.
+/// A reply being sent.
 struct Job<O> {
     outlet: O,
     left: Left,
-    /// When its turn came first.
+    /// When its first turn came.
     begun: Option<Instant>,
-    /// Its share of places and budget while it waits.
+    /// Its slot and its share of the budget, while it waits.
     _held: Option<(WaitingSlot, Room)>,
 }
 
 impl<O: Outlet> Job<O> {
-    /// Sends some of it; gives it back where there is more.
+    /// Sends a part of it; returns the job if more is left.
     fn serve(mut self, last: &LastValues, metrics: &Metrics) -> Option<Self> {
         let begun = *self.begun.get_or_insert_with(Instant::now);
         match &mut self.left {
@@ -289,7 +290,7 @@ impl<O: Outlet> Job<O> {
     }
 }
 
-/// What waits for one link: short answers before those that read many documents.
+/// Jobs for one link: short replies go before those that read many documents.
 struct Lane<O> {
     short: VecDeque<Job<O>>,
     long: VecDeque<Job<O>>,
@@ -310,9 +311,9 @@ impl<O> Lane<O> {
 }
 
 struct State<O> {
-    /// Links with something to send, or to which something is being sent.
+    /// Links with jobs waiting or being sent.
     lanes: HashMap<Link, Lane<O>>,
-    /// Those that wait for a thread, in turn.
+    /// Links that wait for a thread, in turn.
     ready: VecDeque<Link>,
     threads: usize,
     idle: usize,
@@ -325,7 +326,7 @@ struct Shared<O> {
     metrics: Arc<Metrics>,
 }
 
-/// The threads that send, and what waits for them. Copies are the same ones.
+/// The sending threads and their jobs. Clones share them.
 struct Pool<O>(Arc<Shared<O>>);
 
 impl<O> Clone for Pool<O> {
@@ -344,7 +345,7 @@ impl<O: Outlet + Send + 'static> Pool<O> {
         self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes an answer; never waits for a reader.
+    /// Adds a job; never waits for a reader.
     fn add(&self, link: Link, job: Job<O>) {
         let mut guard = self.lock();
         let state = &mut *guard;
@@ -368,7 +369,7 @@ impl<O: Outlet + Send + 'static> Pool<O> {
         }
     }
 
-    /// Serves one link after the other, a few replies each.
+    /// Serves one link after another, with a few replies at a time.
     fn work(&self) {
         while let Some((link, job)) = self.next() {
             let begun = Instant::now();
@@ -398,7 +399,8 @@ impl<O: Outlet + Send + 'static> Pool<O> {
         }
     }
 
-    /// A link has its turn again if something waits for it. If the link has stopped reading, its queue is dropped and its budget returned.
+    /// Gives a link another turn if it has jobs waiting. If it has stopped reading, its queue is dropped and its budget
+    /// returned.
     fn served(&self, link: Link, more: Option<Job<O>>, stuck: bool) -> Vec<Job<O>> {
         let mut state = self.lock();
         let Some(lane) = state.lanes.get_mut(&link) else { return Vec::new() };

@@ -1,29 +1,29 @@
-//! Who may fill how much of the engine's queue: a key may hold [`SHARE`] times what is free at that moment (dynamic
-//! thresholds, Choudhury and Hahne 1998). One that floods ends at four fifths and leaves the rest to the others; several
-//! leave each other less. Keys that the engine does not know count as one, however many they are.
+//! Limits how much of the engine's queue each key may fill: [`SHARE`] times what is free at that moment (dynamic thresholds,
+//! Choudhury and Hahne 1998). A single flooding key gets at most four fifths and leaves the rest to the others; several leave
+//! each other less. All keys unknown to the engine count as one.
 
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasher, RandomState};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-/// Times the free room that one key may hold.
+/// Multiple of the free room that one key may hold.
 const SHARE: usize = 4;
-/// The flow of all keys that nobody knows.
+/// The flow of all unknown keys.
 const UNKNOWN: u64 = 0;
 
 #[derive(Debug, Default)]
 struct Inner {
     hasher: RandomState,
     known: RwLock<HashSet<u64>>,
-    /// Messages and bytes that wait, by flow; only of flows that wait.
+    /// Waiting messages and bytes by flow, for flows with any.
     held: Mutex<HashMap<u64, [usize; 2]>>,
 }
 
-/// The flows of a queue; copies are the same ones.
+/// The flows of a queue; clones share them.
 #[derive(Debug, Clone, Default)]
 pub struct Shares(Arc<Inner>);
 
-/// A message's part of its flow's share; given back when dropped.
+/// A message's part of its flow's share, which is returned on drop.
 #[derive(Debug)]
 pub struct Share {
     shares: Shares,
@@ -36,20 +36,19 @@ impl Shares {
         self.0.hasher.hash_one(key).max(UNKNOWN + 1)
     }
 
-    /// Gives this key its own share from now on.
+    /// Gives this key a separate share from now on.
     pub fn learn(&self, key: &str) {
         let hash = self.hash(key);
         self.0.known.write().unwrap_or_else(PoisonError::into_inner).insert(hash);
     }
 
-    /// From now on this key is one of those that nobody knows.
+    /// Counts this key among the unknown ones from now on.
     pub fn unlearn(&self, key: &str) {
         let hash = self.hash(key);
         self.0.known.write().unwrap_or_else(PoisonError::into_inner).remove(&hash);
     }
 
-    /// A share for a message of so many bytes, where so many messages and bytes are free; none where its flow holds
-    /// most of the queue.
+    /// A share for a message of this many bytes, given the free messages and bytes; `None` if its flow already holds its limit.
     #[must_use]
     pub fn take(&self, key: &str, bytes: usize, free: [usize; 2]) -> Option<Share> {
         let hash = self.hash(key);
@@ -80,7 +79,7 @@ impl Drop for Share {
 mod tests {
     use super::*;
 
-    /// Fills a queue of 1,000 messages with these keys in turn; gives what each of them holds then.
+    /// Fills a queue of 1,000 messages with these keys in turn; returns what each then holds.
     fn filled(shares: &Shares, keys: &[&str]) -> (Vec<usize>, Vec<Share>) {
         let mut held: Vec<Vec<Share>> = keys.iter().map(|_| Vec::new()).collect();
         for _ in 0..2000 {

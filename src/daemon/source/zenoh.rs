@@ -1,7 +1,7 @@
 //! The Zenoh session: its settings, and one wildcard subscription per prefix.
 //!
-//! The subscriber's callback runs on the bus's own threads, so it only puts the message into the engine's queue; a full
-//! queue drops the message and counts it.
+//! The subscriber's callback runs on Zenoh's threads, so it only puts the message into the engine's queue; if the queue is full
+//! it drops the message and counts it.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,25 +21,26 @@ use crate::runtime::tls;
 use stiction_engine::codec::topic;
 use stiction_engine::config::Config;
 
-/// Largest message that Zenoh puts together from its pieces, bytes: what is larger never takes memory. Well above what a
-/// payload may have, so that payloads a little too large are still seen and counted.
+/// Largest message that Zenoh assembles from fragments, bytes; larger ones never use memory. Well above the limit for payloads,
+/// so that slightly oversized payloads are still seen and counted.
 const MAX_MESSAGE: usize = 4 << 20;
 
-/// How long a connection may take to say who it is, and how many may be at it. Those that say nothing keep others out, a
-/// place for the time: so it is short, and the places are many, within the descriptors of the unit.
+/// How long a connection may take to identify itself, and how many may be doing so. A connection that never does blocks a place
+/// for that time, so the time is short and the places are many, within the descriptor limit of the unit.
 const ACCEPT_WITHIN: Duration = Duration::from_secs(1);
 const ACCEPTED: usize = 2000;
 
 /// The prefix of a schema's encoding.
 const SCHEMA: &str = "https://json-schema.org/draft/2020-12/schema";
 
-/// How long Zenoh waits for a reader that has no room before it drops a document for it: what took less met none.
+/// How long Zenoh waits for a reader without room before it drops a document for it. A faster return means that no reader was
+/// full.
 pub const NOT_TAKEN: Duration = Duration::from_millis(10);
-/// The setting's name; microseconds.
+/// Zenoh's setting for it, in microseconds.
 const WAIT_BEFORE_DROP: &str = "transport/link/tx/queue/congestion_control/drop/wait_before_drop";
-/// What Zenoh is told to do with messages of others. Answers have the priority of their query, and no document has this one:
-/// a publisher would wait behind an answer that waits for its reader. What the session passes on for others is dropped for
-/// a reader that does not keep up.
+/// Settings for the priority of messages. Replies have the priority of their query, and no document has that one: otherwise a
+/// document would wait behind a reply that waits for its reader. Messages that the session routes for others are dropped for a
+/// reader that does not keep up.
 const OVERWRITES: [&str; 2] = [
     r#"{"id": "stictiond answers", "messages": ["query"], "flows": ["ingress"],
         "overwrite": {"priority": "data_low"}}"#,
@@ -47,10 +48,10 @@ const OVERWRITES: [&str; 2] = [
         "qos": {"congestion_control": "block"}, "overwrite": {"congestion_control": "drop"}}"#,
 ];
 
-/// Makes the session's configuration from ours.
+/// Makes the Zenoh configuration from ours.
 ///
 /// # Errors
-/// A configuration file that cannot be read, or settings that Zenoh refuses.
+/// The configuration file cannot be read, or Zenoh refuses a setting.
 pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     let z = &config.zenoh;
     let mut session = if z.config_file.is_empty() {
@@ -60,7 +61,8 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
             .map_err(|e| anyhow!("[zenoh] config_file {:?} cannot be used: {e}", z.config_file))?
     };
     let plain = zenoh::Config::default();
-    // What the file states differs from what Zenoh takes where nothing is said; a limit that is Zenoh's own is none.
+    // A setting counts as stated in the file if it differs from Zenoh's default; so a limit equal to Zenoh's counts as not
+    // stated.
     let said = |key: &str| session.get_json(key).ok() != plain.get_json(key).ok();
     let overwrites =
         session.get_json("qos/network").ok().and_then(|text| serde_json::from_str::<Vec<Value>>(&text).ok());
@@ -73,7 +75,7 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     if own || !z.listen.is_empty() {
         wanted.push(("listen/endpoints", serde_json::to_string(&z.listen)?));
     }
-    // Zenoh's own defaults scout and give up. Keep trying for ever: the router may come up after us, and go and come again.
+    // By default Zenoh scouts and gives up. Keep trying for ever instead: the router may start after us, stop and come back.
     let unsaid = [
         ("scouting/multicast/enabled", z.multicast.to_string()),
         ("connect/timeout_ms", "-1".to_owned()),
@@ -81,7 +83,7 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
         ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
         ("transport/unicast/accept_timeout", ACCEPT_WITHIN.as_millis().to_string()),
         ("transport/unicast/accept_pending", ACCEPTED.to_string()),
-        // Batches of 64 KiB for documents that come at once: a reader that is a little behind misses none.
+        // Batches of 64 KiB for documents that come at once, so that a reader slightly behind misses none.
         ("transport/link/tx/queue/size/data", "8".to_owned()),
         ("transport/link/tx/queue/size/interactive_high", "8".to_owned()),
     ];
@@ -107,11 +109,11 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     Ok(session)
 }
 
-/// Opens the session, and says why not where it could not listen: it then goes on without, and tries for ever. A router
-/// that is not there yet is waited for.
+/// Opens the session; returns the reason if it could not listen. It then continues without listening, and keeps trying. Waits
+/// for a router that is not there yet.
 ///
 /// # Errors
-/// With the endpoints in the message.
+/// The session cannot be opened; names the endpoints.
 pub async fn open(config: &Config) -> anyhow::Result<(zenoh::Session, Option<String>)> {
     let strict = session_config(config)?;
     let mut patient = strict.clone();
@@ -130,11 +132,11 @@ pub async fn open(config: &Config) -> anyhow::Result<(zenoh::Session, Option<Str
     Ok((session, Some(why)))
 }
 
-/// The subscriptions of a configuration, which follow it when it is edited.
+/// The subscriptions of a configuration, kept up to date when it is edited.
 pub struct Subscriptions {
     session: zenoh::Session,
     intake: Intake,
-    /// None where all loops are this daemon's, which no edit changes.
+    /// `None` if this daemon serves all loops, which no edit changes.
     filter: Option<Arc<RwLock<ShardFilter>>>,
     open: BTreeMap<String, Subscriber<()>>,
 }
@@ -143,7 +145,7 @@ impl Subscriptions {
     /// Subscribes.
     ///
     /// # Errors
-    /// A key that Zenoh refuses.
+    /// Zenoh refuses a key.
     pub async fn open(session: &zenoh::Session, config: &Config, intake: Intake) -> anyhow::Result<Self> {
         let filter = ShardFilter::new(config).map(|filter| Arc::new(RwLock::new(filter)));
         let mut subscriptions = Self { session: session.clone(), intake, filter, open: BTreeMap::new() };
@@ -151,11 +153,11 @@ impl Subscriptions {
         Ok(subscriptions)
     }
 
-    /// Subscribes to keys that are new in an edited configuration and gives up those that are gone. All others stay as they
-    /// are: nothing of them is lost or comes twice.
+    /// Subscribes to the new keys of an edited configuration and ends the subscriptions to removed ones. All others are left
+    /// alone, so that they lose nothing and receive nothing twice.
     ///
     /// # Errors
-    /// A key that Zenoh refuses.
+    /// Zenoh refuses a key.
     pub async fn follow(&mut self, config: &Config) -> anyhow::Result<()> {
         if let (Some(filter), Some(fresh)) = (&self.filter, ShardFilter::new(config)) {
             *filter.write().unwrap_or_else(PoisonError::into_inner) = fresh;
@@ -188,7 +190,7 @@ impl Subscriptions {
         declared.map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))
     }
 
-    /// Gives all subscriptions up.
+    /// Ends all subscriptions.
     pub async fn close(self) {
         for subscriber in self.open.into_values() {
             let _ = subscriber.undeclare().await;
@@ -200,7 +202,7 @@ fn enqueue(sample: &BusSample, intake: &Intake) {
     if sample.kind() == SampleKind::Delete {
         return intake.delete();
     }
-    // Borrowed wherever the encoding is one of Zenoh's own without a schema.
+    // Borrowed if the encoding is one of Zenoh's predefined ones without a schema.
     let encoding = (*sample.encoding() != Encoding::default()).then(|| Cow::from(sample.encoding()));
     let envelope = Envelope {
         key: sample.key_expr().as_str(),
@@ -212,14 +214,14 @@ fn enqueue(sample: &BusSample, intake: &Intake) {
     intake.take(&envelope, payload.len(), |bytes| payload.slices().for_each(|part| bytes.extend_from_slice(part)));
 }
 
-/// Who published a message: the session of its source information, else the one that stamped it.
+/// The publisher of a message: the session in its source information, else the one that stamped it.
 fn sender_of(sample: &BusSample) -> Option<u64> {
     let session = sample.source_info().map(|info| u128::from_le_bytes(info.source_id().zid().to_le_bytes()));
     let id = session.or_else(|| sample.timestamp().map(|t| u128::from_le_bytes(t.get_id().to_le_bytes())))?;
     Some((id ^ id >> 64) as u64)
 }
 
-/// The encoding of a document under a key of the daemon, with its schema's name.
+/// The encoding of a document under one of the daemon's keys, with the name of its schema.
 #[must_use]
 pub fn encoding_of(key: &str) -> Encoding {
     match topic::schema_of(key) {
@@ -244,7 +246,7 @@ mod tests {
             let keys = ["scouting/multicast/enabled", "connect/timeout_ms", "transport/link/rx/max_message_size"];
             keys.map(|key| session.get_json(key).unwrap())
         };
-        // A word in a remark or under another key states nothing.
+        // A word in a comment or under another key is not a setting.
         let elsewhere = "{ mode: 'peer', /* scouting */ listen: { timeout_ms: 5 } } // max_message_size";
         assert_eq!(of(elsewhere), ["false", "-1", "4194304"]);
         let stated = "{ scouting: { multicast: { enabled: true } }, connect: { timeout_ms: 7 }, \

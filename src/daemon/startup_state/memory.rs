@@ -1,8 +1,8 @@
-//! Carries a loop's memory over a restart: alarm and gap watch, from the store beside the recordings.
+//! Carries the loops' memory over a restart: alarm and gap watch, from the store in the folder of the recordings.
 //!
-//! Where the store is missing or broken, the newest states in the recordings are taken, loop by loop: a run that ended
-//! before it had written all of them hides nothing of the run before. What cannot be read is put aside under another
-//! name, counted and named as a fault; the daemon starts whatever it finds.
+//! If the store is missing or broken, the newest state of each loop is taken from the recordings, so that a run that ended
+//! before it had written all states does not hide those of the run before. A file that cannot be read is renamed, counted and
+//! reported as a fault; the daemon starts whatever it finds.
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
@@ -25,17 +25,17 @@ use stiction_files::store::{
 };
 use stiction_files::{FileError, InputKind, Item, ReadError, RecordingReader};
 
-/// Files of a run that are read per segment: the last one may have been cut before its first flush.
+/// Files read per segment of a run: the last one may have been cut off before its first flush.
 const FILES_PER_SEGMENT: usize = 2;
-/// Runs that are read, newest first, where the store is gone: runs that ended at once hold few states.
+/// Runs read, newest first, if the store is missing: runs that ended at once hold few states.
 const RUNS: usize = 20;
-/// Files that are read to learn which run was the last, where the store holds all else.
+/// Files read to find out which run was the last, if the store has everything else.
 const NEWEST: usize = 8;
-/// Runs that the store remembers: more than any loop's newest recordings are from.
+/// Number of runs that the store remembers: more than any loop's newest recordings span.
 const RUNS_KEPT: usize = 1000;
-/// Runs that a folder can have had; a file that says more is not from here.
+/// Most runs that a folder can have had; a file with a larger number is not from here.
 const MOST_RUNS: i64 = 1 << 40;
-/// Suffix of a file that was put aside.
+/// Suffix of a broken file that was renamed.
 pub const ASIDE: &str = ".broken";
 
 /// One recording file of a folder.
@@ -43,20 +43,20 @@ pub const ASIDE: &str = ".broken";
 pub struct RunFile {
     /// Where it is.
     pub path: PathBuf,
-    /// Which run of the folder, by the store's count; 0 where that was not counted yet.
+    /// Number of the run in the folder, by the store's count; 0 for runs from before they were counted.
     pub run_number: u64,
     /// Start of its run, ns.
     pub started_ns: i64,
-    /// Its run.
+    /// Id of its run.
     pub run_id: String,
-    /// Which of the files side by side.
+    /// Its segment.
     pub segment: usize,
-    /// Its place among the segment's files.
+    /// Its number among the segment's files.
     pub index: u32,
 }
 
 impl RunFile {
-    /// Reads a file's place in its run from its metadata; `None` for recordings of others.
+    /// Reads a file's place in its run from its metadata; `None` for recordings by other programs.
     #[must_use]
     pub fn of(path: &Path, metadata: &BTreeMap<String, String>) -> Option<Self> {
         let number = |key: &str| metadata.get(key)?.parse::<i64>().ok();
@@ -78,22 +78,22 @@ pub fn is_recording(path: &Path) -> bool {
     name.ends_with(".mcap") || name.ends_with(".mcap.part")
 }
 
-/// State of earlier runs as a start finds it.
+/// What a start found of earlier runs.
 #[derive(Default)]
 pub struct Restored {
-    /// Memory by loop: alarms and gap watches, never the stream of points.
+    /// Memory by loop: alarms and gap watches, without the stream of points.
     pub memories: BTreeMap<String, Checkpoint>,
-    /// Those of them that had left the plant.
+    /// The loops that had left the plant.
     pub left: BTreeSet<String>,
     /// The newest recording.
     newest: Option<PathBuf>,
-    /// Runs that this store has begun.
+    /// Runs that this store has noted.
     pub runs: OwnRuns,
     /// The store, if it could be opened.
     pub store: Option<StateStore>,
-    /// Which run of this folder begins now, from 1.
+    /// Number of the run that begins now, from 1.
     pub run_number: u64,
-    /// Recordings that an earlier run found whole, by name, with size and time of change.
+    /// Recordings that an earlier run found complete, by name, with size and time of change.
     pub verified: BTreeMap<String, String>,
     /// What data health remembered.
     pub data_health: KeptHealth,
@@ -102,32 +102,32 @@ pub struct Restored {
 /// Memories of loops, by whether the loops are still there.
 #[derive(Debug, Default)]
 pub struct Memories {
-    /// Of loops that go on.
+    /// Of loops that continue.
     pub there: BTreeMap<String, Checkpoint>,
-    /// Of loops that had left the plant with an alarm that is not at rest: they wait for their return.
+    /// Of loops that had left the plant with an active alarm, which is kept until they return.
     pub left: BTreeMap<String, Checkpoint>,
-    /// Of loops that the configuration names no longer: their alarms end.
+    /// Of loops that are no longer configured: their alarms end.
     pub removed: BTreeMap<String, Checkpoint>,
 }
 
-/// Which runs of a folder are this daemon's own. The recordings of another may have been copied there.
+/// Which runs in a folder are this daemon's own. Recordings of another daemon may have been copied there.
 #[derive(Debug, Clone, Default)]
 pub struct OwnRuns {
     /// Their ids, oldest first.
     ids: Vec<String>,
-    /// How many the store has counted; 0 where there is no store that did.
+    /// Number of runs counted by the store; 0 without a store that counts.
     counted: u64,
 }
 
 impl OwnRuns {
-    /// Whether a run is its own: one that its store has begun. Without a store every run may be.
+    /// Whether a run is this daemon's own, that is, noted in its store. Without a store any run may be.
     #[must_use]
     pub fn include(&self, file: &RunFile) -> bool {
         let is_counted = self.ids.is_empty() && file.run_number <= self.counted;
         self.counted == 0 || is_counted || self.ids.contains(&file.run_id)
     }
 
-    /// Their states for the store, as JSON.
+    /// The ids with this run added, as JSON for the store.
     fn and(&self, run_id: &str) -> Option<Vec<u8>> {
         let skipped = (self.ids.len() + 1).saturating_sub(RUNS_KEPT);
         let ids: Vec<&str> = self.ids.iter().map(String::as_str).chain([run_id]).skip(skipped).collect();
@@ -135,8 +135,8 @@ impl OwnRuns {
     }
 }
 
-/// What earlier runs under this prefix remembered. Never fails: what cannot be read becomes a fault. All of it is in
-/// the store before this returns, so that a crash right after costs nothing.
+/// What earlier runs under this prefix remembered. Never fails: what cannot be read becomes a fault. Everything is in the store
+/// before this returns, so that a crash right afterwards loses nothing.
 #[must_use]
 pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metrics: &Metrics) -> Restored {
     let (store, stored) = match open_store(disk, dir, faults, metrics) {
@@ -159,7 +159,7 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
         }
     }
     let from_store = memories.len();
-    // A store that was created during a run holds what has changed since; one that a start has sealed holds all.
+    // A store created during a run holds only what has changed since; one completed at a start holds everything.
     let is_sealed = stored.values.contains_key(prefix);
     let is_whole = from_store > 0 && is_sealed && lost == 0;
     let number = |json: &Vec<u8>| std::str::from_utf8(json).ok()?.parse::<u64>().ok();
@@ -195,12 +195,11 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
     restored
 }
 
-/// How long a loss that is over stays among the faults.
+/// How long a loss that has ended remains among the faults.
 pub const LOSS_SHOWN: std::time::Duration = std::time::Duration::from_secs(3600);
 
 impl Restored {
-    /// What is remembered of loops, by what becomes of them under a configuration. Those of other segments are not this
-    /// daemon's.
+    /// The loops' memories, sorted by what the configuration makes of the loops. Loops of other shards are left out.
     pub fn take_memories(&mut self, config: &Config) -> Memories {
         let named: HashSet<&str> = config.loops.iter().map(|l| l.name.as_str()).collect();
         let named_before = self.named_before(&config.hash());
@@ -217,7 +216,7 @@ impl Restored {
         memories
     }
 
-    /// The loops that the newest recording's configuration names, where it is another one.
+    /// The loops named in the newest recording's configuration, if that differs from the current one.
     fn named_before(&self, hash: &str) -> HashSet<String> {
         let named = |path: &PathBuf| {
             let reader = RecordingReader::open(path).ok()?;
@@ -236,7 +235,7 @@ impl Restored {
         self.store = store.save([(key_of_runs(prefix).as_str(), runs.as_slice())]).is_ok().then_some(store);
     }
 
-    /// Puts everything into the store before the run begins, but for what it holds already.
+    /// Stores everything that is not in the store yet, before the run begins.
     fn seal(&mut self, prefix: &str, is_whole: bool, faults: &Faults) {
         let Some(store) = self.store.take() else { return };
         let missing = if is_whole { None } else { Some(&self.memories) };
@@ -254,14 +253,14 @@ impl Restored {
     }
 }
 
-/// The recordings of this prefix, the newest alone where they need only tell which run was the last; what is none is put
-/// aside.
+/// The recordings of this prefix; only the newest if they need only show which run was the last. Files that are no recordings
+/// are renamed.
 fn recordings_in(dir: &Path, prefix: &str, newest_alone: bool, metrics: &Metrics) -> Vec<RunFile> {
     let mut files = Vec::new();
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
     let mut paths: Vec<PathBuf> = entries.map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)).collect();
     if newest_alone && paths.len() > NEWEST {
-        // Two months of a hundred thousand loops are a hundred thousand files: of the others no more than the first bytes.
+        // Two months of a hundred thousand loops make a hundred thousand files, so only the first bytes of the others are read.
         paths.sort_by_cached_key(|path| fs::metadata(path).and_then(|m| m.modified()).ok());
         for path in paths.drain(..paths.len() - NEWEST) {
             match InputKind::detect(&path) {
@@ -293,10 +292,10 @@ fn recordings_in(dir: &Path, prefix: &str, newest_alone: bool, metrics: &Metrics
     files
 }
 
-/// Opens the store of a folder and reads it. One that cannot be used is put aside and named, and a new one begins.
+/// Opens a folder's store and reads it. A store that cannot be used is renamed and reported, and a new one is created.
 ///
 /// # Errors
-/// Why there is none now; another attempt may find one.
+/// The reason why there is none now; a later attempt may succeed.
 pub fn open_store(
     disk: &dyn Disk,
     dir: &Path,
@@ -318,7 +317,7 @@ pub fn open_store(
     opened.map_err(|e| e.to_string())
 }
 
-/// Memory of loops by name, and whether they had left the plant.
+/// Memory by loop name, and whether the loop had left the plant.
 type Found = BTreeMap<String, (Checkpoint, bool)>;
 
 /// The newest memory of every loop in the latest runs.
@@ -359,10 +358,10 @@ fn read_states(path: &Path, prefix: &str, memories: &mut Found) -> Result<(), Re
     Ok(())
 }
 
-/// Gives a file that cannot be used another name; an empty one goes.
+/// Renames a file that cannot be used; an empty one is deleted.
 fn put_aside(path: &Path, metrics: &Metrics) {
     if fs::metadata(path).is_ok_and(|m| m.len() == 0) {
-        // Cut before its first byte reached the disk: nothing is lost by taking it away.
+        // Cut off before its first byte reached the disk, so deleting it loses nothing.
         let _ = fs::remove_file(path);
         return;
     }
@@ -375,7 +374,7 @@ fn put_aside(path: &Path, metrics: &Metrics) {
     }
 }
 
-/// Names the broken files that were renamed, until somebody has moved them away.
+/// Reports the renamed broken files until somebody moves them away.
 pub fn report_aside(dir: &Path, faults: &Faults) {
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
     let aside: Vec<String> =
@@ -451,7 +450,7 @@ mod tests {
         let first = start(dir.path());
         assert_eq!((raised(&first), first.run_number), (vec!["A"], 4));
         drop(first);
-        // Now the store holds it: the recordings may go.
+        // The store now holds everything, so the recordings can go.
         for entry in fs::read_dir(dir.path()).unwrap().flatten().filter(|e| is_recording(&e.path())) {
             fs::remove_file(entry.path()).unwrap();
         }
@@ -489,7 +488,7 @@ mod tests {
             if k % 4 == 0 {
                 bytes.truncate(whole.len() * k / 160);
             } else {
-                // Most of the file is room: three of four flips hit its first pages, where it is not.
+                // Most of the file is free space: three of four flips hit its first pages, where the data are.
                 let span = if k % 4 == 1 { whole.len() } else { 32_768.min(whole.len()) };
                 let bit = k.wrapping_mul(7_919_113) % (8 * span);
                 bytes[bit / 8] ^= 1 << (bit % 8);

@@ -1,9 +1,10 @@
-//! Refills the loops' windows at a start from the recordings of earlier runs, so that the next estimate needs no new window.
+//! Refills the loops' windows at a start from the recordings of earlier runs, so that the next estimate need not wait for a new
+//! window.
 //!
-//! The newest files of each segment are replayed without their windows. The first file of the new run names the last of them
-//! as the one before it and the first of them as where its windows begin: so it replays to the byte, and no sample is
-//! recorded twice. Loops keep their segments. Where the wall clock says that a loop was silent for longer than a window, or
-//! where its keys or the sizes of its window have changed, it begins empty.
+//! The newest files of each segment are replayed without computing windows. The first file of the new run names the last of
+//! them as its predecessor and the first of them as the start of its windows; so it can be replayed byte for byte, and no
+//! sample is recorded twice. Loops keep their segments. A loop starts with an empty window if, by the wall clock, it was silent
+//! for longer than a window, or if its keys or the sizes of its window have changed.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,32 +25,32 @@ use stiction_files::RecordingReader;
 use stiction_files::rescue::{REMOVED, SAMPLES_KEY};
 use stiction_files::run::{FilePlace, REFILLED_FROM, RunMetadata};
 
-/// Bytes of recordings that are read at a start: of all segments together, and of one. A file has 100 MiB by default.
+/// Bytes of recordings read at a start: of all segments together, and of one. A file has 100 MiB by default.
 const BYTES: u64 = 512 << 20;
 const SEGMENT_BYTES: u64 = 128 << 20;
-/// How long that may take; what is not read by then is left.
+/// Time limit; what has not been read by then is left out.
 const WITHIN: Duration = Duration::from_secs(20);
 
 /// Initial state of a run.
 pub struct Refilled {
-    /// An engine with the loops whose windows go on; their alarms are not restored.
+    /// An engine with the loops whose windows continue; their alarms are not restored.
     pub engine: Engine,
-    /// Their segments.
+    /// The segments that continue, with their files.
     pub continued: BTreeMap<usize, Continued>,
-    /// Last sign of life of each loop, whether or not its windows go on.
+    /// Last sign of life of each loop, whether or not its windows continue.
     pub last: BTreeMap<String, LastSeen>,
 }
 
 impl Refilled {
-    /// A run whose windows are empty.
+    /// A run with empty windows.
     #[must_use]
     pub fn empty(config: &Config) -> Self {
         Self { engine: Engine::new(config.engine()), continued: BTreeMap::new(), last: BTreeMap::new() }
     }
 }
 
-/// Reads the newest recordings of this folder. Never fails: what cannot be read becomes a fault that names the file, and its
-/// loops begin with empty windows.
+/// Reads the newest recordings in this folder. Never fails: a file that cannot be read becomes a fault that names it, and its
+/// loops start with empty windows.
 #[must_use]
 pub fn refill(dir: &Path, config: &Config, runs: &OwnRuns, now_ns: i64, faults: &Faults) -> Refilled {
     let (started, settings) = (Instant::now(), config.engine());
@@ -74,8 +75,8 @@ pub fn refill(dir: &Path, config: &Config, runs: &OwnRuns, now_ns: i64, faults: 
     refilled
 }
 
-/// The newest file of each segment, those of the newest run first; of this daemon's own runs. A name may say anything: a segment
-/// with no place for a loop is passed over.
+/// The newest file of each segment, from this daemon's own runs, newest run first. File names are not trusted: a segment number
+/// beyond the number of loops is skipped.
 fn last_files(dir: &Path, config: &Config, own: &OwnRuns, faults: &Faults) -> Vec<RunFile> {
     let (prefix, segments) = (&config.site.prefix, config.input.max_loops.div_ceil(LOOPS_PER_FILE));
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
@@ -117,20 +118,20 @@ fn last_files(dir: &Path, config: &Config, own: &OwnRuns, faults: &Faults) -> Ve
     files
 }
 
-/// Limits of reading a segment.
+/// Limits for reading a segment.
 struct Reading<'a> {
     config: &'a Config,
     settings: EngineSettings,
-    /// Windows that end now or later reach back to here at most.
+    /// Earliest time that a window which ends now or later can reach back to.
     since_ns: i64,
     now_ns: i64,
-    /// Bytes of a segment's files.
+    /// Limit on the bytes of a segment's files.
     bytes: u64,
     until: Instant,
 }
 
 impl Reading<'_> {
-    /// Refills the loops of the segment whose newest file this is.
+    /// Refills the loops of the segment with this newest file.
     fn segment(&self, last: &RunFile, refilled: &mut Refilled) -> anyhow::Result<()> {
         let prefix = &self.config.site.prefix;
         let files = self.files_up_to(last)?;
@@ -145,7 +146,7 @@ impl Reading<'_> {
         let before =
             if is_unchanged { None } else { Some(RunMetadata::of(newest, reader.metadata())?.config.engine()) };
         let count = refilled.engine.count();
-        // Newer runs were read before.
+        // Newer runs were read first and take precedence.
         for (name, seen) in rerun.take_last() {
             refilled.last.entry(name).or_insert(seen);
         }
@@ -176,7 +177,8 @@ impl Reading<'_> {
         Ok(())
     }
 
-    /// Whether a loop's window goes on, which was read under the settings of before, if these were others.
+    /// Whether a loop's window continues. `before` are the settings under which it was recorded, if they differ from the
+    /// current ones.
     fn goes_on(&self, name: &str, greatest_ns: Option<i64>, before: Option<&EngineSettings>) -> bool {
         let settings = self.settings.of(name);
         let longest_ns = ns_from_s(settings.window.max_window_s).unsigned_abs();
@@ -187,8 +189,8 @@ impl Reading<'_> {
             && before.is_none_or(is_same)
     }
 
-    /// A segment's newest file that holds loops, and of those before it as many as windows reach back into and as there is
-    /// room for; oldest first.
+    /// A segment's newest file that holds loops, and as many files before it as windows reach back into and the limit allows;
+    /// oldest first.
     fn files_up_to(&self, last: &RunFile) -> anyhow::Result<Vec<PathBuf>> {
         let (mut files, mut left, mut refilled_from) = (Vec::new(), self.bytes, String::new());
         let mut next = Some(last.path.clone());

@@ -1,4 +1,4 @@
-//! Documents that a receiver refuses for good: one line of JSON each, with the reason, in a file of bounded size.
+//! Documents that a receiver refuses permanently: one line of JSON each, with the reason, in a file of bounded size.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -10,14 +10,14 @@ use serde_json::json;
 use super::Item;
 use crate::runtime::clock::now_ns;
 
-/// Name of the file, beside the recordings.
+/// Name of the file, in the folder of the recordings.
 pub const DEAD_LETTERS: &str = "dead-letters.jsonl";
-/// Name of the file before it.
+/// Name of the previous file.
 const OLDER: &str = "dead-letters.1.jsonl";
 /// Size at which the file is renamed to [`OLDER`], bytes.
 const MAX_BYTES: u64 = 8 << 20;
 
-/// The file; receivers share it.
+/// The file, shared by the receivers.
 pub(super) struct DeadLetters {
     dir: PathBuf,
     /// One writer at a time.
@@ -29,7 +29,7 @@ impl DeadLetters {
         Self { dir: dir.to_owned(), writing: Mutex::default() }
     }
 
-    /// Appends a document with the reason; returns once the line is on the disk.
+    /// Appends a document with the reason; returns once the line is on disk.
     pub fn append(&self, receiver: &str, item: &Item, attempts: u32, reason: &str) -> io::Result<()> {
         let document: serde_json::Value = serde_json::from_str(&item.document).unwrap_or_default();
         let line = json!({

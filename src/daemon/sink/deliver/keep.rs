@@ -1,7 +1,7 @@
-//! Keeps what waits for receivers in a store, so that a restart loses nothing.
+//! Stores the documents that wait for receivers, so that a restart loses none.
 //!
-//! A document goes to its receivers once it is on the disk. Where the disk hangs it goes a second later, and where the disk
-//! refuses at once; it is put into the store as soon as that takes it.
+//! A document goes to its receivers once it is on disk. If the disk hangs it goes after a second, and if the disk refuses it
+//! goes at once; it is stored as soon as the store accepts it.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -18,12 +18,12 @@ use crate::runtime::metrics::Metrics;
 use stiction_files::disk::Disk;
 use stiction_files::store::{OUTBOX_NAME, StateStore, StoreError, Stored};
 
-/// Pause after an error of the disk.
+/// Pause after a disk error.
 const RETRY: Duration = Duration::from_secs(2);
 /// Name of its fault.
 const FAULT: &str = "outbox";
 
-/// The thread that keeps the store.
+/// The thread that writes the store.
 pub(super) struct Keep {
     path: PathBuf,
     disk: Arc<dyn Disk>,
@@ -31,7 +31,7 @@ pub(super) struct Keep {
     ledger: Arc<Ledger>,
     mark: Mark,
     dead: DeadLetters,
-    /// Whether the queues have what an earlier run left.
+    /// Whether the queues have received what an earlier run left.
     taken_over: bool,
     faults: Arc<Faults>,
     metrics: Arc<Metrics>,
@@ -39,13 +39,13 @@ pub(super) struct Keep {
 
 impl Drop for Keep {
     fn drop(&mut self) {
-        // Nobody waits for a thread that is no more.
+        // So that nobody waits for a thread that has ended.
         self.mark.close();
     }
 }
 
 impl Keep {
-    /// Opens the store and gives what an earlier run left there to its queues.
+    /// Opens the store, and passes what an earlier run left there to its queues.
     pub fn open(
         dir: &Path,
         disk: Arc<dyn Disk>,
@@ -60,10 +60,10 @@ impl Keep {
         keep
     }
 
-    /// Works until no more can be handed over.
+    /// Works until the ledger is closed.
     pub fn run(&mut self) {
         loop {
-            // A store that is not open may hold what waits.
+            // A store that is not open may hold waiting documents, so try again even if nothing new comes.
             let pause = self.store.is_none().then_some(RETRY);
             let batch = self.ledger.take_within(pause);
             let is_last = batch.is_last;
@@ -77,7 +77,7 @@ impl Keep {
         }
     }
 
-    /// The receivers' threads end.
+    /// Ends the receivers' threads.
     pub fn close_queues(&self) {
         self.ledger.queues.iter().for_each(|queue| queue.close());
     }
@@ -88,19 +88,19 @@ impl Keep {
         self.write(batch);
     }
 
-    /// As after an error of the disk.
+    /// Drops the store, as after a disk error.
     #[cfg(test)]
     pub fn forget_store(&mut self) {
         self.store = None;
     }
 
-    /// Whether the store holds what waits, and nothing else.
+    /// Whether the store holds exactly the waiting documents.
     pub fn is_stored(&self) -> bool {
         self.ledger.is_stored()
     }
 
     fn write(&mut self, mut batch: Batch) {
-        // A folder that was taken away takes the store along; what is written then goes nowhere.
+        // Deleting the folder deletes the open store's file, and later writes would be lost.
         if self.store.as_ref().is_some_and(|store| !store.is_linked()) {
             self.store = None;
         }
@@ -136,7 +136,8 @@ impl Keep {
         Ok(())
     }
 
-    /// Opens the store. Whatever has become of it meanwhile, it holds what waits after this batch, and nothing else.
+    /// Opens the store. Whatever happened to it meanwhile, afterwards it holds exactly the waiting documents together with this
+    /// batch.
     fn reopen(&mut self, batch: &mut Batch) -> Result<StateStore, String> {
         let opened = match StateStore::open_on(self.disk.as_ref(), &self.path) {
             Err(StoreError::Broken { why, .. }) => {
@@ -162,7 +163,8 @@ impl Keep {
         Ok(store)
     }
 
-    /// What an earlier run left. Documents of receivers that are no longer named are dropped: nobody would ever take them.
+    /// Takes over what an earlier run left. Documents for receivers that are no longer configured are dropped, as nothing would
+    /// ever take them.
     fn take_over(&mut self, stored: Stored, batch: &mut Batch) {
         self.taken_over = true;
         let mut dropped = stored.damaged as u64;
@@ -183,8 +185,8 @@ impl Keep {
         }
     }
 
-    /// What the store lacks of the queues, and what it holds too much: it may be a new one, or an error hid whether the last
-    /// change is in it.
+    /// Adds to the batch what the store lacks of the queues, and removes what it should no longer hold: the store may be a new
+    /// one, or an error may have hidden whether the last change was written.
     fn compare(&self, stored: &Stored, batch: &mut Batch) {
         let waiting = self.ledger.queues.iter().flat_map(|queue| {
             queue.all().into_iter().map(|(seq, item)| (key_of(&queue.name, seq), item)).collect::<Vec<_>>()

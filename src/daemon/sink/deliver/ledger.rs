@@ -1,5 +1,5 @@
-//! What the store of documents lacks and holds too much: noted by whoever hands documents over and by the receivers'
-//! threads, neither of which waits for a disk; worked off by the thread that writes.
+//! The pending changes to the document store. Producers and the receivers' threads note them without waiting for a disk; the
+//! writing thread carries them out.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -12,12 +12,13 @@ use crate::runtime::clock::Clock;
 use crate::runtime::faults::Faults;
 use crate::runtime::metrics::Metrics;
 
-/// How long a document may wait for the disk before it goes to its receivers all the same.
+/// How long a document may wait for the disk before it goes to its receivers anyway.
 pub(super) const HELD: Duration = Duration::from_secs(1);
-/// Documents for the dead-letter file that may wait for the disk; more stay in the store, and are tried after a restart.
+/// Most documents that wait to be written to the dead-letter file; further ones stay in the store and are tried again after a
+/// restart.
 const LETTERS: usize = 1000;
 
-/// A document that a receiver refused for good.
+/// A document that a receiver refused permanently.
 pub(super) struct Letter {
     pub queue: String,
     pub seq: u64,
@@ -32,10 +33,10 @@ pub(super) struct Batch {
     pub puts: BTreeMap<String, Arc<Item>>,
     pub gone: BTreeSet<String>,
     pub letters: Vec<Letter>,
-    /// Number of the newest document in it, in its queues and for the store of states.
+    /// Number of the newest document in it, for the queues and for the state store.
     pub last_seq: u64,
     pub last_number: u64,
-    /// No more can come.
+    /// Whether this is the last batch.
     pub is_last: bool,
 }
 
@@ -44,11 +45,11 @@ struct Inner {
     puts: BTreeMap<String, Arc<Item>>,
     gone: BTreeSet<String>,
     letters: Vec<Letter>,
-    /// Number of the next document: above those of every run before.
+    /// Number of the next document, above those of all earlier runs.
     next: u64,
-    /// Since when the thread that writes is at what it took, and how many documents of it the store lacks.
+    /// Since when the current batch is being written, and how many of its documents are not stored.
     writing: Option<(Instant, usize)>,
-    /// The newest document that it took.
+    /// Number of the newest document taken by the writing thread.
     taken: u64,
     is_closed: bool,
 }
@@ -65,7 +66,7 @@ impl Inner {
     }
 }
 
-/// The ledger.
+/// Pending changes, shared by the threads.
 pub(super) struct Ledger {
     inner: Mutex<Inner>,
     wake: Condvar,
@@ -77,7 +78,7 @@ pub(super) struct Ledger {
 }
 
 pub(super) fn key_of(queue: &str, seq: u64) -> String {
-    // Twenty digits hold every number, so keys sort as numbers do.
+    // Twenty digits hold every `u64`, so keys sort as numbers do.
     format!("{queue}\n{seq:020}")
 }
 
@@ -97,7 +98,7 @@ impl Ledger {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Hands a document to the queues that want it, where it is held until the store has it, or for [`HELD`].
+    /// Hands a document to the queues that want it. They hold it until it is stored, at most for [`HELD`].
     pub fn offer(&self, item: &Arc<Item>) {
         let held_until = self.clock.now() + HELD;
         let mut inner = self.lock();
@@ -119,14 +120,14 @@ impl Ledger {
         }
     }
 
-    /// A queue has given its oldest document up.
+    /// A queue has dropped its oldest document.
     fn overflow(&self, queue: &Queue) {
         self.metrics.delivery_dropped.inc();
         let text = format!("more documents wait for {} than its queue holds: the oldest are lost", queue.name);
         self.faults.raise_for(&format!("overflow {}", queue.name), text, LOSS_SHOWN);
     }
 
-    /// A document that an earlier run left in the store waits again.
+    /// Queues a document that an earlier run left in the store.
     pub fn take_over(&self, queue: &Arc<Queue>, seq: u64, item: Arc<Item>) {
         let mut inner = self.lock();
         inner.next = inner.next.max(seq + 1);
@@ -136,13 +137,13 @@ impl Ledger {
         }
     }
 
-    /// A document waits no longer.
+    /// A document no longer waits.
     pub fn settle(&self, queue: &str, seq: u64) {
         self.lock().settle(key_of(queue, seq));
         self.wake.notify_one();
     }
 
-    /// A document was refused for good: it leaves the store once it is in the dead-letter file.
+    /// A document was refused permanently: it leaves the store once it is in the dead-letter file.
     pub fn bury(&self, letter: Letter) {
         let mut inner = self.lock();
         if inner.letters.len() < LETTERS {
@@ -152,15 +153,15 @@ impl Ledger {
         self.wake.notify_one();
     }
 
-    /// Keys of the documents that are refused for good and not in the dead-letter file yet.
+    /// Keys of the documents that were refused permanently but are not in the dead-letter file yet.
     pub fn unburied(&self) -> Vec<String> {
         self.lock().letters.iter().map(|letter| key_of(&letter.queue, letter.seq)).collect()
     }
 
-    /// Takes what is to be written. `pause` says how long it waits for something new; for ever without one.
+    /// Takes the next changes to write, waiting up to `pause` for something new; for ever without one.
     pub fn take_within(&self, pause: Option<Duration>) -> Batch {
         let nothing = |inner: &mut Inner| {
-            // After an error what has failed waits for the pause's end, not for itself.
+            // After an error, failed changes are tried again only at the end of the pause.
             let has_more = if pause.is_some() { self.mark.handed() > inner.taken } else { !inner.is_stored() };
             !has_more && !inner.is_closed
         };
@@ -173,7 +174,7 @@ impl Ledger {
         self.take_of(inner)
     }
 
-    /// Takes what is to be written now.
+    /// Takes the changes to write now.
     pub fn take(&self) -> Batch {
         self.take_of(self.lock())
     }
@@ -192,14 +193,14 @@ impl Ledger {
         batch
     }
 
-    /// The batch is in the store.
+    /// The batch has been stored.
     pub fn stored(&self, batch: &Batch) {
         self.lock().writing = None;
         self.queues.iter().for_each(|queue| queue.release(batch.last_seq));
         self.mark.store(batch.last_number);
     }
 
-    /// The disk refused the batch: it is written again later, and its documents are sent meanwhile.
+    /// The disk refused the batch: it is written again later, and its documents are sent now.
     pub fn refused(&self, batch: Batch, why: &str) {
         let (last_seq, last_number) = (batch.last_seq, batch.last_number);
         let mut inner = self.lock();
@@ -215,19 +216,20 @@ impl Ledger {
         self.mark.refuse(last_number, why);
     }
 
-    /// Whether the store holds what waits, and nothing else.
+    /// Whether the store holds exactly the waiting documents.
     pub fn is_stored(&self) -> bool {
         self.lock().is_stored()
     }
 
-    /// How long the disk has taken for what is being written, and how many documents it lacks; none while it answers.
+    /// How long the disk has been writing the current batch, and how many of its documents are not stored; `None` while the
+    /// disk responds.
     pub fn stall(&self) -> Option<(Duration, usize)> {
         let inner = self.lock();
         let (since, lacking) = inner.writing?;
         Some((self.clock.since(since), lacking + inner.puts.len())).filter(|(taken, _)| *taken >= HELD)
     }
 
-    /// No more can come: what is there is written once more.
+    /// No more changes will come; the pending ones are written once more.
     pub fn close(&self) {
         self.lock().is_closed = true;
         self.wake.notify_one();

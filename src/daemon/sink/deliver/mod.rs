@@ -1,10 +1,9 @@
-//! Documents to receivers outside the bus. Each receiver has its own queue and gets one document after the other. A
-//! receiver that is away is tried again until it is back; a document that it refuses goes to the dead-letter file and
-//! blocks nothing. What waits is in a store beside the recordings, so a restart loses nothing and may send a document
-//! twice, under the same identity.
+//! Delivers documents to receivers outside the bus. Each receiver has a queue and gets one document at a time. A receiver that
+//! is down is tried again until it is back; a document that it refuses goes to the dead-letter file and blocks nothing. Waiting
+//! documents are stored with the recordings, so a restart loses none, but may send one twice, under the same identity.
 //!
-//! The engine's thread only hands documents over. One thread writes them to the store, before any receiver sees them unless
-//! the disk takes longer than a second; each receiver has a thread that may wait for it as long as it takes.
+//! The engine's thread only hands documents over. One thread stores them before any receiver sees them, unless the disk takes
+//! longer than a second. Each receiver has a thread, which may wait for it as long as it takes.
 
 mod dead;
 mod keep;
@@ -40,19 +39,19 @@ use worker::{Step, Worker};
 
 /// How long a receiver may take for one document.
 const SEND_WITHIN: Duration = Duration::from_secs(10);
-/// How long a thread sleeps where nobody wakes it.
+/// How long a thread sleeps unless it is woken.
 const IDLE: Duration = Duration::from_secs(20);
-/// How long a loss stays among the faults.
+/// How long a loss remains among the faults.
 const LOSS_SHOWN: Duration = Duration::from_secs(3600);
 
 /// A document on its way to receivers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Item {
-    /// Its identity: whoever has seen it may drop it.
+    /// Its identity, by which a receiver can drop repeats.
     pub id: String,
-    /// What it is: `alarm`, `estimate`, `gap` or `data_health`.
+    /// Its kind: `alarm`, `estimate`, `gap` or `data_health`.
     pub kind: String,
-    /// Its schema's name.
+    /// Name of its schema.
     pub schema: String,
     /// Its loop.
     pub loop_name: String,
@@ -95,7 +94,7 @@ impl Item {
 }
 
 impl Item {
-    /// The summary of data health.
+    /// A summary of data health.
     #[must_use]
     pub fn data_health(prefix: &str, document: &DataHealthDocument, json: &[u8]) -> Self {
         Self {
@@ -113,41 +112,41 @@ impl Item {
 /// Why a receiver did not take a document.
 #[derive(Debug)]
 pub enum Failure {
-    /// It answered that it does not take it now, and after which time to try again where it says one.
+    /// It cannot take the document now; with the time to wait, if it gave one.
     Later(String, Option<Duration>),
-    /// It did not answer.
+    /// It did not respond.
     Unanswered(String),
-    /// It answered that it will never take it.
+    /// It will never take this document.
     Refused(String),
 }
 
-/// What hands documents to one receiver.
+/// Sends documents to one receiver.
 pub trait Target: Send {
-    /// Hands one over; returns once the receiver has it, as far as its protocol can tell.
+    /// Sends one document; returns once the receiver has it, as far as the protocol shows.
     ///
     /// # Errors
     /// [`Failure`] says whether it is worth another attempt.
     fn send(&mut self, item: &Item) -> Result<(), Failure>;
 }
 
-/// Makes what sends to a receiver; nothing is connected yet.
+/// The target for a receiver, not yet connected.
 fn target(d: &Deliver) -> anyhow::Result<Box<dyn Target>> {
     Ok(Box::new(webhook::Webhook::new(d)?))
 }
 
-/// Whether a receiver can be sent to, as far as files tell.
+/// Checks a receiver's settings, as far as its files show.
 ///
 /// # Errors
-/// A file cannot be read or holds something else.
+/// A file cannot be read or has the wrong content.
 pub fn check(d: &Deliver) -> anyhow::Result<()> {
     target(d).map(drop)
 }
 
-/// The engine's end; copies hand over to the same receivers.
+/// The engine's end; clones hand over to the same receivers.
 #[derive(Clone)]
 pub struct Outbox(Arc<Handed>);
 
-/// State shared by all copies; it is gone once nothing more can come.
+/// State shared by all clones; the last one to be dropped closes the ledger.
 struct Handed {
     ledger: Arc<Ledger>,
     wanted: Vec<String>,
@@ -160,8 +159,8 @@ impl Drop for Handed {
 }
 
 impl Outbox {
-    /// Starts the threads; none where the configuration names no receiver. The one that keeps the store ends when the
-    /// `Outbox` is dropped; the others end with it, or with the process where a receiver holds them up.
+    /// Starts the threads; `None` if no receiver is configured. The storing thread ends when the `Outbox` is dropped; the
+    /// receivers' threads end with it, or with the process if a receiver holds them up.
     ///
     /// # Errors
     /// A receiver's file cannot be used, or the system refuses a thread.
@@ -191,7 +190,7 @@ impl Outbox {
         Ok(Some((outbox, handle)))
     }
 
-    /// Both ends without threads: whoever holds the other one decides when it works, and makes the receivers.
+    /// Both ends without threads: the caller decides when the other end works, and makes the targets.
     ///
     /// # Errors
     /// A receiver cannot be made.
@@ -204,7 +203,7 @@ impl Outbox {
         metrics: &Arc<Metrics>,
     ) -> anyhow::Result<(Self, Delivery)> {
         let queues = config.deliver.iter().map(|d| Arc::new(Queue::new(d, &clock, metrics))).collect::<Vec<_>>();
-        // Also where the store cannot be read yet, numbers of this run lie above those in it.
+        // So that the numbers of this run are above those in the store even if it cannot be read yet.
         let first = u64::try_from(clock.now_ns()).unwrap_or_default();
         let place = (mark.clone(), clock.clone());
         let ledger = Arc::new(Ledger::new(first, queues.clone(), place, faults.clone(), metrics.clone()));
@@ -243,7 +242,7 @@ impl Outbox {
         self.0.ledger.offer(&Arc::new(item));
     }
 
-    /// Why documents are not stored at present, and sent all the same; none while the disk answers.
+    /// Why documents are sent without being stored; `None` while the disk responds.
     #[must_use]
     pub fn stall(&self) -> Option<String> {
         let (taken, lacking) = self.0.ledger.stall()?;
@@ -253,10 +252,10 @@ impl Outbox {
     }
 }
 
-/// The far end of an [`Outbox`], without threads.
+/// The other end of an [`Outbox`], without threads.
 pub struct Delivery {
     keep: Keep,
-    /// Receivers, each with the time before which it is not tried again.
+    /// Receivers, each with the time of its next attempt.
     workers: Vec<(Worker, Instant)>,
     clock: Clock,
 }
@@ -267,7 +266,7 @@ impl Delivery {
         self.keep.turn();
     }
 
-    /// Stores what was handed over and sends what waits. Says whether all of it is in the store.
+    /// Stores what was handed over and sends what waits; true if all of it is stored.
     pub fn turn(&mut self) -> bool {
         self.keep.turn();
         for (worker, not_before) in &mut self.workers {
@@ -283,7 +282,7 @@ impl Delivery {
         self.keep.is_stored()
     }
 
-    /// Documents that wait for receivers.
+    /// Number of documents that wait for receivers.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.workers.iter().map(|(worker, _)| worker.queue.len()).sum()

@@ -1,4 +1,4 @@
-//! What waits for one receiver, oldest first.
+//! Documents that wait for one receiver, oldest first.
 
 use std::collections::{HashSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -11,23 +11,23 @@ use stiction_engine::config::Deliver;
 
 /// Next step of a receiver's thread.
 pub(super) enum Next {
-    /// Sends this.
+    /// Send this document.
     Send(u64, Arc<Item>),
-    /// Nothing for a while.
+    /// Nothing to send for now.
     Nothing,
-    /// Ends.
+    /// The thread must end.
     Closed,
 }
 
-/// How a document fared so far.
+/// The attempts to send a document so far.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Tried {
-    /// How often it was sent in vain.
+    /// Number of failed attempts.
     pub sent: u32,
-    /// How often the receiver answered that it does not take it, and when it did so first.
+    /// How often the receiver refused it for now, and the first time.
     pub refused: u32,
     pub refused_at: Option<Instant>,
-    /// How often the receiver took another document just before it failed on this one, and when it did so first.
+    /// How often the receiver took another document just before this one failed, and the first time.
     pub passed: u32,
     pub passed_at: Option<Instant>,
 }
@@ -35,7 +35,7 @@ pub(super) struct Tried {
 struct Entry {
     seq: u64,
     item: Arc<Item>,
-    /// Until when the disk may take its time to store it; none once it has it, or has refused it.
+    /// Latest time until which it waits to be stored; `None` once it is stored or the disk has refused it.
     held_until: Option<Instant>,
     tried: Tried,
 }
@@ -79,8 +79,8 @@ impl Queue {
         self.documents.iter().any(|wanted| wanted == kind)
     }
 
-    /// Puts one behind those with lower numbers; it is not sent before it is released, or before this time. Gives the
-    /// oldest up where there are too many: the newest says how things stand.
+    /// Inserts a document behind those with lower numbers. It is not sent before it is released or `held_until` has passed. If
+    /// there are too many, drops and returns the oldest, since newer documents describe the current state.
     pub fn push(&self, seq: u64, item: Arc<Item>, held_until: Option<Instant>) -> Option<u64> {
         let mut waiting = self.lock();
         let place = waiting.entries.partition_point(|entry| entry.seq < seq);
@@ -93,7 +93,7 @@ impl Queue {
         given_up
     }
 
-    /// Documents up to this number need not wait for the disk any more.
+    /// Documents up to this number no longer wait for the disk.
     pub fn release(&self, seq: u64) {
         let mut waiting = self.lock();
         waiting.entries.iter_mut().take_while(|entry| entry.seq <= seq).for_each(|entry| entry.held_until = None);
@@ -101,7 +101,7 @@ impl Queue {
         self.wake.notify_one();
     }
 
-    /// The oldest, which stays where it is until it is settled; waits for one.
+    /// The oldest document, which stays in the queue until it is settled; waits for one.
     pub fn next(&self, patience: Duration) -> Next {
         let until = self.clock.now() + patience;
         let mut waiting = self.lock();
@@ -122,7 +122,7 @@ impl Queue {
         }
     }
 
-    /// Notes how an attempt went. A document that waits no longer has none.
+    /// Notes the result of an attempt, if the document still waits.
     pub fn note(&self, seq: u64, note: impl FnOnce(&mut Tried)) {
         let mut waiting = self.lock();
         if let Some(place) = waiting.place(seq) {
@@ -130,13 +130,13 @@ impl Queue {
         }
     }
 
-    /// How a document fared so far.
+    /// The attempts to send a document so far.
     pub fn tried(&self, seq: u64) -> Tried {
         let waiting = self.lock();
         waiting.place(seq).map(|place| waiting.entries[place].tried).unwrap_or_default()
     }
 
-    /// The first document of another loop, each loop in turn by `round`: to send it before this one keeps the order within
+    /// The oldest document of another loop, a different loop in each `round`. Sending it before this one keeps the order within
     /// every loop.
     pub fn of_other_loop(&self, seq: u64, round: usize) -> Option<(u64, Arc<Item>)> {
         let (waiting, now) = (self.lock(), self.clock.now());
@@ -147,7 +147,7 @@ impl Queue {
         free.get(round % free.len().max(1)).map(|entry| (entry.seq, entry.item.clone()))
     }
 
-    /// Takes away a document that waits no longer; false where it had been given up meanwhile.
+    /// Removes a document that no longer waits; false if it had already been dropped.
     pub fn settle(&self, seq: u64) -> bool {
         let mut waiting = self.lock();
         let Some(place) = waiting.place(seq) else { return false };
@@ -156,7 +156,7 @@ impl Queue {
         true
     }
 
-    /// Waits after a failure; true where it is time to end.
+    /// Waits after a failure; true if the thread must end.
     pub fn pause(&self, time: Duration) -> bool {
         let waiting = self.lock();
         let (waiting, _) =
@@ -173,7 +173,7 @@ impl Queue {
         self.lock().entries.len()
     }
 
-    /// All that waits.
+    /// All waiting documents.
     pub fn all(&self) -> Vec<(u64, Arc<Item>)> {
         self.lock().entries.iter().map(|entry| (entry.seq, entry.item.clone())).collect()
     }

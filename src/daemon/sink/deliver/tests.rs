@@ -1,4 +1,4 @@
-//! Receivers that fail, come back and are never there, over restarts.
+//! Receivers that fail, recover or never respond, across restarts.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
@@ -13,7 +13,7 @@ use stiction_files::store::StateStore;
 
 mod store;
 
-/// Waits until something is so.
+/// Waits until the condition gives a value.
 fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let until = Instant::now() + Duration::from_secs(30);
     loop {
@@ -69,15 +69,15 @@ impl Running {
     }
 }
 
-/// One request of a webhook: its head, and its body.
+/// A webhook request: head and body.
 type Request = (String, serde_json::Value);
 
-/// An HTTP server that gives these answers in turn, the last one for ever; none: it hangs up.
+/// An HTTP server that gives these answers in turn and then repeats the last one; for `None` it hangs up.
 fn web_server(listener: TcpListener, answers: Vec<Option<&'static str>>) -> Arc<Mutex<Vec<Request>>> {
     web_server_by(listener, move |turn, _| answers[turn.min(answers.len() - 1)])
 }
 
-/// An HTTP server that answers by the number of the request and its body; none: it hangs up.
+/// An HTTP server whose answer depends on the number of the request and its body; for `None` it hangs up.
 fn web_server_by(
     listener: TcpListener,
     answer: impl Fn(usize, &serde_json::Value) -> Option<&'static str> + Send + 'static,
@@ -126,7 +126,7 @@ fn a_webhook_gets_everything_in_order_although_it_fails_and_is_away_over_a_resta
     let token = dir.path().join("token");
     std::fs::write(&token, "s3cret\n").unwrap();
     let receiver = format!("[[deliver]]\nname = \"cmms\"\nto = \"http://{address}/hook\"\nsecret_file = {token:?}\n");
-    // Nobody answers.
+    // Nothing listens there.
     drop(listener);
     let first = Running::start(dir.path(), &receiver);
     first.offer(0..5);
@@ -157,7 +157,7 @@ fn a_webhook_gets_everything_in_order_although_it_fails_and_is_away_over_a_resta
         assert_eq!(event["time"], "2026-01-05T08:15:00Z");
     }
     second.stop();
-    // Nothing is left, and nothing comes twice.
+    // Nothing is left over, and nothing is sent twice.
     let third = Running::start(dir.path(), &receiver);
     third.offer(8..9);
     wait_for("one more", || (taken(&seen).len() == 9).then_some(()));
@@ -192,7 +192,7 @@ fn a_document_that_is_answered_with_500_for_ever_does_not_block_other_loops() {
     let dir = tempfile::tempdir().unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let receiver = format!("[[deliver]]\nname = \"a\"\nto = \"http://{}/\"\n", listener.local_addr().unwrap());
-    // Two poisoned loops, so that the first document that is tried beside the other is refused as well.
+    // Two poisoned loops, so that the first document tried in between is refused as well.
     let answer = |_: usize, event: &serde_json::Value| {
         let poisoned = event["subject"].as_str().unwrap().starts_with("POISON");
         Some(if poisoned { "500 broken" } else { "204 ok" })

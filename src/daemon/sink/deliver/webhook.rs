@@ -1,4 +1,4 @@
-//! A webhook: each document as a CloudEvent in JSON (CloudEvents 1.0, structured mode), by HTTP POST.
+//! Webhook: sends each document as a JSON CloudEvent (CloudEvents 1.0, structured mode) by HTTP POST.
 
 use std::time::Duration;
 
@@ -17,10 +17,10 @@ use crate::runtime::secrets::secret;
 use crate::runtime::tls;
 use stiction_engine::config::Deliver;
 
-/// Content type of a body.
+/// Content type of the body.
 const CONTENT_TYPE: &str = "application/cloudevents+json; charset=utf-8";
-/// Answers of the 4xx class that say something about the place, the sender or the moment and not about the document: those
-/// are tried again. All others mean that this document will never be taken.
+/// 4xx answers that concern the address, the sender or the moment, not the document: these are tried again. All others mean
+/// that this document will never be taken.
 const MAY_CHANGE: [u16; 11] = [401, 403, 404, 407, 408, 410, 421, 423, 425, 426, 429];
 
 pub(super) struct Webhook {
@@ -41,7 +41,7 @@ impl Webhook {
         let agent = Agent::config_builder()
             .timeout_global(Some(SEND_WITHIN))
             .http_status_as_error(false)
-            // The token must not go to another place.
+            // The token must not be sent to another server.
             .max_redirects(0)
             .max_redirects_will_error(false)
             .user_agent(concat!("stictiond/", env!("CARGO_PKG_VERSION")));
@@ -51,7 +51,7 @@ impl Webhook {
     }
 }
 
-/// The receiver's certificates, and the daemon's to it.
+/// Certificates to trust, and the daemon's client certificate.
 #[cfg(feature = "tls")]
 fn encrypted(d: &Deliver) -> anyhow::Result<TlsConfig> {
     let mut settings = TlsConfig::builder();
@@ -109,14 +109,14 @@ fn cloud_event(item: &Item) -> String {
         "dataschema": format!("urn:stictiond:{}", item.schema),
         "data": data,
     });
-    // A time that is none is left out.
+    // An invalid time is left out.
     if item.time.ends_with('Z') {
         event["time"] = json!(item.time);
     }
     event.to_string()
 }
 
-/// The site as a URI: other characters are percent-encoded.
+/// The site as a URI, percent-encoded where necessary.
 fn source(prefix: &str) -> String {
     let plain = |b: u8| b.is_ascii_alphanumeric() || b"-._~/".contains(&b);
     let part = |b: u8| if plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") };

@@ -1,4 +1,5 @@
-//! One receiver's thread: sends one document after the other, and decides which of the two is at fault when that fails.
+//! One receiver's thread: sends one document at a time, and decides after failures whether the receiver or the document is at
+//! fault.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -11,27 +12,27 @@ use crate::runtime::clock::Clock;
 use crate::runtime::faults::Faults;
 use crate::runtime::metrics::Metrics;
 
-/// Pauses after a failure: the first, and what they double up to.
+/// Pauses after a failure: the first, and the longest after doubling.
 pub(super) const FIRST_PAUSE: Duration = if cfg!(test) { Duration::from_millis(20) } else { Duration::from_secs(1) };
 const LONGEST_PAUSE: Duration = if cfg!(test) { Duration::from_millis(100) } else { Duration::from_secs(60) };
-/// Failed attempts after which other documents show whether the receiver or this document is at fault.
+/// Failed attempts after which other documents are tried, to see whether the receiver or this document is at fault.
 const ATTEMPTS: u32 = 4;
-/// A document is given up that failed so often right after the receiver had taken another one, over so long: of several
-/// machines behind one address some may be down, or come back later than others.
+/// A document is given up if it failed this often right after the receiver had taken another one, over at least this time: of
+/// several machines behind one address some may be down, or come back later than others.
 const PASSED: u32 = 4;
 const PASSED_FOR: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(600) };
-/// One beside which nothing else could be tried is given up after so many answers that refuse it, over a day.
+/// If no other document could be tried, a document is given up after this many refusals, over at least a day.
 const REFUSED: u32 = if cfg!(test) { 20 } else { 1440 };
 const REFUSED_FOR: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(86_400) };
 
-/// Makes what sends to a receiver; nothing is connected yet.
+/// Makes the target of a receiver, not yet connected.
 pub type MakeTarget = Box<dyn Fn() -> anyhow::Result<Box<dyn Target>> + Send>;
 
 /// Outcome of a step.
 pub(super) enum Step {
-    /// The next one.
+    /// Go on with the next document.
     Next,
-    /// The next one after this pause.
+    /// Go on after this pause.
     Wait(Duration),
     /// Nothing waits.
     Idle,
@@ -39,12 +40,12 @@ pub(super) enum Step {
     Closed,
 }
 
-/// Why a document was not taken now.
+/// A failed attempt that may be repeated.
 struct NotNow {
     why: String,
-    /// The pause that the receiver asks for.
+    /// The pause requested by the receiver.
     pause: Option<Duration>,
-    /// Whether the receiver said so.
+    /// Whether the receiver responded.
     answered: bool,
 }
 
@@ -56,16 +57,16 @@ pub(super) struct Worker {
     pub metrics: Arc<Metrics>,
     pub clock: Clock,
     pub make: MakeTarget,
-    /// The connection; none before the first document and after a panic.
+    /// The connection; `None` before the first document and after a panic.
     pub target: Option<Box<dyn Target>>,
     /// Pause after the next failure.
     pub pause: Duration,
-    /// Documents of other loops that were tried beside the first one.
+    /// Number of documents of other loops that were tried in place of the first one.
     pub round: usize,
 }
 
 impl Worker {
-    /// Works until the queue is closed. After a panic it goes on with a new connection.
+    /// Works until the queue is closed. After a panic it continues with a new connection.
     pub fn supervise(&mut self) {
         while catch_unwind(AssertUnwindSafe(|| self.run())).is_err() {
             self.restart();
@@ -98,7 +99,7 @@ impl Worker {
         }
     }
 
-    /// Sends what waits longest, if anything comes within this time.
+    /// Sends the document that has waited longest, if one comes within this time.
     pub fn step(&mut self, patience: Duration) -> Step {
         let (seq, item) = match self.queue.next(patience) {
             Next::Closed => return Step::Closed,
@@ -125,8 +126,8 @@ impl Worker {
         Step::Wait(pause)
     }
 
-    /// Tries a document again, just after the receiver took another one: it may have come back in this moment. One that
-    /// fails beside others again and again is at fault itself.
+    /// Tries a document again just after the receiver took another one, since the receiver may have recovered at that moment. A
+    /// document that fails repeatedly in this way is itself at fault.
     fn try_beside(&mut self, seq: u64, item: &Arc<Item>) {
         let Err(NotNow { why, .. }) = self.attempt(seq, item) else { return };
         let now = self.clock.now();
@@ -149,7 +150,7 @@ impl Worker {
         Step::Next
     }
 
-    /// Sends one document once. `Ok` where it waits no longer: the receiver has it, or refuses it for good.
+    /// Sends one document once. `Ok` if it no longer waits: the receiver has it, or refuses it permanently.
     fn attempt(&mut self, seq: u64, item: &Arc<Item>) -> Result<(), NotNow> {
         self.queue.note(seq, |tried| tried.sent += 1);
         let sent = catch_unwind(AssertUnwindSafe(|| self.send(item))).unwrap_or_else(|_| {
@@ -181,7 +182,7 @@ impl Worker {
         }
     }
 
-    /// Counts a failed attempt and names the fault.
+    /// Counts a failed attempt and raises the fault.
     fn not_now(&self, failed: NotNow) -> NotNow {
         self.metrics.delivery_failed.inc();
         let (name, waiting) = (&self.queue.name, self.queue.len());

@@ -1,4 +1,4 @@
-//! Channels of the open files, counted at the engine's end: there the next file can begin between two messages, however many
+//! Counts the channels of the open files at the engine's end, so that the next file can begin between two messages however many
 //! wait for the disk.
 
 use std::sync::Arc;
@@ -8,10 +8,10 @@ use super::{Item, MANY_CHANNELS, segment_of};
 /// A loop's channels in the open file of its segment.
 #[derive(Debug, Clone, Copy, Default)]
 struct Slot {
-    /// Where its name is: another loop may have had the handle before.
+    /// Index of its name, since another loop may have had the handle before.
     name: usize,
     file: u32,
-    /// Its channels, a bit each.
+    /// The channels seen, as a bit set.
     seen: u32,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct Channels {
 }
 
 impl Channels {
-    /// Counts a message that is recorded; gives its segment where that needs its next file now.
+    /// Counts a message to be recorded; returns its segment if that now needs its next file.
     pub fn count(&mut self, item: &Item) -> Option<usize> {
         let (id, name, bit) = match item {
             Item::Open { segment, .. } => {
@@ -39,7 +39,7 @@ impl Channels {
                 return None;
             }
             Item::Raw { id, name, sample, .. } => (*id, name, sample.signal as u32),
-            // Documents of many loops are few: the file itself knows.
+            // Documents about several loops are few: the file's own count covers them.
             Item::Document { name, .. } if name.starts_with('@') => return None,
             Item::Document { id, name, kind, .. } => (*id, name, 8 + *kind as u32),
             Item::Close { .. } | Item::Configuration { .. } => return None,

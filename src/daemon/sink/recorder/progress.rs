@@ -1,4 +1,4 @@
-//! How far the recorder is: for whoever waits for its end, and for the health document.
+//! Progress of the recorder, for those who wait for it to end and for the health document.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -9,27 +9,27 @@ use std::sync::{Mutex, PoisonError};
 #[derive(Debug, Clone)]
 struct Unfinished {
     path: PathBuf,
-    /// What stopped it; none while it is being written.
+    /// The error that stopped it; `None` while it is being written.
     error: Option<String>,
 }
 
-/// Progress of the recorder, shared by its thread and those who watch it.
+/// Progress shared by the recorder's thread and its observers.
 #[derive(Debug, Default)]
 pub struct Progress {
     taken: AtomicU64,
     finished: AtomicU64,
-    /// Files that are not finished, by segment.
+    /// Unfinished files by segment.
     unfinished: Mutex<BTreeMap<usize, Unfinished>>,
 }
 
 impl Progress {
-    /// Items taken, and files finished at the end.
+    /// Number of items taken, and of files finished at the end.
     #[must_use]
     pub fn steps(&self) -> [u64; 2] {
         [&self.taken, &self.finished].map(|count| count.load(Ordering::Relaxed))
     }
 
-    /// Files that were open or could not be written, each with the reason.
+    /// Files that are still open or could not be written, each with the reason.
     #[must_use]
     pub fn unfinished(&self) -> Vec<String> {
         let text = |file: &Unfinished| {
@@ -43,7 +43,7 @@ impl Progress {
         self.files(|files| files.values().map(text).collect())
     }
 
-    /// Whether some file could not be written, and nothing is recorded in its place.
+    /// Whether a file could not be written and no other has replaced it.
     #[must_use]
     pub fn has_stopped(&self) -> bool {
         self.files(|files| files.values().any(|file| file.error.is_some()))

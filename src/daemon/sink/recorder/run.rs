@@ -7,26 +7,26 @@ use stiction_engine::engine::Origins;
 use stiction_files::columns::{METADATA_COLUMNS, METADATA_RAW};
 use stiction_files::run::{ORIGINS, REFILLED_FROM};
 
-/// Metadata that all files of a run share.
+/// Metadata common to all files of a run.
 #[derive(Debug, Clone)]
 pub struct RunInfo {
     /// First chunks of every topic.
     pub prefix: String,
-    /// Names the run.
+    /// Id of the run.
     pub run_id: String,
     /// When it started, ns.
     pub started_ns: i64,
-    /// Which run of its folder, where that is counted.
+    /// Number of the run in its folder, if runs are counted there.
     pub run_number: Option<u64>,
-    /// What made it: `run`, `demo`, `simulate`.
+    /// What produced it: `run`, `demo`, `simulate`.
     pub origin: &'static str,
-    /// The configuration that files are recorded under.
+    /// The configuration under which the files are recorded.
     pub config: RecordedConfig,
-    /// Id of the daemon, which its documents carry; empty where none made them.
+    /// Id of the daemon, which its documents carry; empty if there is no daemon.
     pub daemon: String,
     /// How its samples are written: `json` or `columns`.
     pub raw: String,
-    /// The segments that go on where an earlier run ended.
+    /// The segments that continue an earlier run.
     pub continued: BTreeMap<usize, Continued>,
 }
 
@@ -39,19 +39,19 @@ pub struct RecordedConfig {
     pub hash: String,
     /// Its mapped loops, as JSON.
     pub loop_map: String,
-    /// The configurations that loops' settings come from, as JSON; empty where that is this one alone.
+    /// The configurations that the loops' settings come from, as JSON; empty if that is this one alone.
     pub origins: String,
 }
 
 impl RecordedConfig {
-    /// Of a configuration with this text.
+    /// From a configuration and its text.
     #[must_use]
     pub fn new(config: &Config, text: String) -> Self {
         let loop_map = serde_json::to_string(&config.loops).unwrap_or_default();
         Self { text, hash: config.hash(), loop_map, origins: String::new() }
     }
 
-    /// The same after edits, which left the settings of some loops as they were.
+    /// The same after edits that left the settings of some loops unchanged.
     #[must_use]
     pub fn with_origins(self, origins: &Origins) -> Self {
         let is_plain = *origins == Origins::new(&self.hash);
@@ -60,12 +60,12 @@ impl RecordedConfig {
     }
 }
 
-/// Where the loops of a segment come from whose windows go on over a restart: names of files.
+/// For a segment with windows that continue over a restart: names of the files they come from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Continued {
     /// The first file that was read.
     pub from: String,
-    /// The last one.
+    /// The last file that was read.
     pub previous: String,
 }
 
@@ -95,7 +95,7 @@ impl RunInfo {
         if let (0, Some(continued)) = (file_index, self.continued.get(&segment)) {
             metadata.insert(REFILLED_FROM.to_owned(), continued.from.clone());
         }
-        // JSON goes without saying, as in the files from before there was anything else.
+        // JSON is the default and not stated, as in files from before there was a choice.
         if self.raw == METADATA_COLUMNS {
             metadata.insert(METADATA_RAW.to_owned(), self.raw.clone());
         }
@@ -105,7 +105,7 @@ impl RunInfo {
         metadata
     }
 
-    /// The name of one file, without its ending.
+    /// File name without extension.
     #[must_use]
     pub fn stem(&self, segment: usize, file_index: u32) -> String {
         let stamp: String =

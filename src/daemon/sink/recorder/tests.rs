@@ -1,4 +1,4 @@
-//! Checks of the recorder: what it leaves behind at the end.
+//! Tests of the recorder, mostly of what it leaves behind at the end.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -39,7 +39,7 @@ fn every_file_is_whole_at_the_end() {
     let progress = recorder.progress();
     drop(recorder);
     thread.join().unwrap();
-    // Items and files: so it is seen that the thread goes on.
+    // Both items and files count as progress, so that the end can be seen to advance.
     assert_eq!((metrics.recorded.get(), progress.steps()), (2001, [3 + 2001, 3]));
     assert!(progress.unfinished().is_empty());
     let names = std::fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
@@ -82,7 +82,7 @@ fn each_alarm_is_repeated_as_a_log_message_on_one_topic() {
     assert_eq!(logged, [("A".to_owned(), 2), ("B".to_owned(), 2)]);
 }
 
-/// A disk that is full while it is told so.
+/// A disk that is full while the flag is set.
 #[derive(Clone, Default)]
 struct FillingDisk(Arc<AtomicBool>);
 
@@ -144,14 +144,14 @@ fn a_disk_that_is_full_or_hangs_has_stopped_the_recorder_until_it_works_again() 
     recorder.record(Item::Open { segment: 0, states: Vec::new() });
     work(&mut writer);
     assert_eq!((recorder.stall(), progress.has_stopped()), (None, false));
-    // It hangs: nothing is taken though something waits.
+    // The disk hangs: something waits and nothing is taken.
     record(&mut recorder);
     assert_eq!(recorder.stall(), None);
     clock.advance(Duration::from_secs(11));
     assert!(recorder.stall().unwrap().contains("not answered for 11 s; 1 messages wait"));
     work(&mut writer);
     assert_eq!(recorder.stall(), None);
-    // It is full.
+    // The disk is full.
     disk.0.store(true, Ordering::Relaxed);
     record(&mut recorder);
     work(&mut writer);
@@ -159,7 +159,7 @@ fn a_disk_that_is_full_or_hangs_has_stopped_the_recorder_until_it_works_again() 
     assert!(progress.has_stopped() && unfinished.contains("-s0-00000.mcap"), "{unfinished}");
     writer.finish();
     assert!(progress.has_stopped(), "nothing was finished");
-    // There is room again: the next file takes its place.
+    // There is room again: a new file replaces the failed one.
     disk.0.store(false, Ordering::Relaxed);
     recorder.record(Item::Open { segment: 0, states: Vec::new() });
     work(&mut writer);
@@ -180,7 +180,7 @@ fn loops_that_come_and_go_cost_a_new_file_and_a_file_that_is_full_goes_on_with_i
     let names: Vec<Arc<str>> = (0..MAX_CHANNELS + 5).map(|k| format!("L{k}").into()).collect();
     let heard = |recorder: &mut Recorder, some: std::ops::Range<usize>| {
         for name in &names[some] {
-            // One handle, which loop after loop has had.
+            // One handle, used by one loop after another.
             let sample = Sample { signal: Signal::Op, t_ns: 0, value: Value::number(1.0), quality: None };
             recorder.record(Item::Raw { id, name: name.clone(), sample, arrival_ns: 0 });
         }
@@ -188,10 +188,10 @@ fn loops_that_come_and_go_cost_a_new_file_and_a_file_that_is_full_goes_on_with_i
     recorder.record(Item::Open { segment: 0, states: Vec::new() });
     heard(&mut recorder, 0..MANY_CHANNELS - 1);
     assert!(recorder.rotations.is_empty());
-    // The engine knows before the disk has written any of it.
+    // The engine notices before the disk has written any of it.
     heard(&mut recorder, MANY_CHANNELS - 1..MANY_CHANNELS);
     assert_eq!(recorder.rotations.try_iter().collect::<Vec<_>>(), [0]);
-    // It takes its time, and the file asks again.
+    // The engine is late with the new file, so the writer asks for it too.
     heard(&mut recorder, MANY_CHANNELS..MAX_CHANNELS + 5);
     writer.turn();
     assert_eq!((recorder.rotations.try_iter().collect::<Vec<_>>(), metrics.recording_lost.get()), (vec![0], 5));

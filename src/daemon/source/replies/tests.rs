@@ -7,10 +7,10 @@ use super::*;
 use stiction_engine::config::Commands;
 
 const ALL: &str = "p/@stiction/v1/**";
-/// For what must come: a machine may be busy.
+/// Time limit for things that must happen, generous for a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A reader: what it has received. One that has `go` takes a reply for each message there, and stands still without.
+/// A reader, with what it has received. With `go` it takes one reply for each message in `go`, and otherwise stops reading.
 #[derive(Clone)]
 struct Reader {
     received: Sender<String>,
@@ -19,7 +19,7 @@ struct Reader {
 
 impl Reader {
     fn take(&self, what: String) {
-        // An end of `go` is what Zenoh makes of a reader that stands still: replies are lost.
+        // When `go` is closed replies are lost, as Zenoh does with a reader that has stopped.
         if self.go.as_ref().is_none_or(|go| go.recv().is_ok()) {
             self.received.send(what).unwrap();
         }
@@ -67,7 +67,7 @@ impl Bench {
         self.pool.add(Link(link), Job { outlet, left: Left::of(reply), begun: None, _held: held });
     }
 
-    /// Waits until so many queries are left.
+    /// Waits until only this many queries are left.
     fn wait_for(&self, left: usize) {
         let until = Instant::now() + PATIENCE;
         while self.askers.waiting() > left {
@@ -96,7 +96,7 @@ fn readers_that_stand_still_hold_up_nobody_else() {
     assert!(all.windows(2).all(|two| two[0] < two[1]), "each once, in the order of the keys");
     bench.wait_for(20 * 22);
     assert!(bench.pool.lock().threads <= THREADS);
-    // Once their links are closed all of it is gone.
+    // Once their links are closed, everything is dropped.
     drop(go);
     bench.wait_for(0);
 }
@@ -127,7 +127,7 @@ fn what_waits_for_a_link_that_stood_still_too_long_is_given_back() {
     let (go, gate) = unbounded::<()>();
     let slow = Reader { received, go: Some(gate) };
     (0..5).for_each(|_| bench.ask(1, ALL, Reply::Last, &slow));
-    // One is with a thread.
+    // One is being sent by a thread.
     bench.wait_for(5);
     let until = Instant::now() + PATIENCE;
     while bench.pool.lock().lanes[&Link(1)].len() > 4 {

@@ -1,5 +1,5 @@
-//! What outlives a crash, a disk that hangs and a store that breaks, and which document a failing receiver costs: without
-//! threads, on a clock that is moved.
+//! What survives a crash, a hanging disk and a broken store, and which document a failing receiver costs; without threads, on a
+//! simulated clock.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -16,7 +16,7 @@ impl<F: FnMut(&Item) -> Result<(), Failure> + Send> Target for Calls<F> {
     }
 }
 
-/// An outbox, and its far end in the hand of the test.
+/// An outbox, with its other end held by the test.
 pub(super) struct Held {
     pub outbox: Outbox,
     pub delivery: Delivery,
@@ -48,13 +48,13 @@ impl Held {
         Self { outbox, delivery, faults, metrics, clock, mark }
     }
 
-    /// Whether nothing waits any more. Writes what is there.
+    /// Writes what is pending; true if nothing waits any more.
     pub fn is_settled(&mut self) -> bool {
         self.delivery.store();
         self.delivery.keep.is_stored() && self.outbox.0.ledger.queues[0].len() == 0
     }
 
-    /// One step of the receiver's thread, and the pause after it; says whether there was something to send.
+    /// One step of the receiver's thread and the pause after it; true if there was something to send.
     fn step(&mut self) -> bool {
         match self.delivery.workers[0].0.step(Duration::ZERO) {
             Step::Next => true,
@@ -68,7 +68,7 @@ impl Held {
     }
 }
 
-/// What a store holds as kill -9 leaves it.
+/// Content of a store as kill -9 leaves it.
 fn left_in(dir: &Path, name: &str) -> Stored {
     let copy = dir.join("copy.redb");
     std::fs::copy(dir.join(name), &copy).unwrap();
@@ -99,7 +99,7 @@ fn what_is_answered_outlives_a_kill_in_the_very_moment() {
             tell.send((kept, documents.len(), state)).unwrap();
         };
         state_writer.keep_then("A", k.to_string().into(), held.clock.now(), Box::new(answer));
-        // The store of states is the faster one, whenever it can be.
+        // The state store is the faster one whenever it can be.
         keeping.turn();
         assert!(told.try_recv().is_err(), "answered, and its document is lost with a kill");
         held.delivery.store();
@@ -128,7 +128,7 @@ fn a_person_is_told_where_documents_cannot_be_stored_and_where_the_disk_does_not
     state_writer.reply_late(held.clock.now());
     assert!(told.try_recv().unwrap().unwrap_err().contains("has not answered for 4 s"));
     ask(&held);
-    // Another program has the store of documents, from where it was put to another place.
+    // Another program holds the document store under its old name; this one's was renamed.
     std::fs::rename(dir.path().join(OUTBOX_NAME), dir.path().join("x")).unwrap();
     let other = StateStore::open(&dir.path().join(OUTBOX_NAME)).unwrap();
     held.delivery.keep.forget_store();
@@ -151,7 +151,7 @@ fn a_disk_that_hangs_holds_a_document_for_a_second_and_the_oldest_of_too_many_go
         Ok(())
     });
     held.outbox.offer(item(0));
-    // The thread that writes has it, and does not come back.
+    // The writing thread has taken it and hangs.
     let ledger = held.outbox.0.ledger.clone();
     let batch = ledger.take();
     assert!(!held.step() && held.outbox.stall().is_none());
@@ -187,7 +187,7 @@ fn a_store_that_breaks_or_goes_under_the_run_gets_all_that_waits() {
     assert_eq!(left_in(dir.path(), OUTBOX_NAME).values.len(), 4);
 }
 
-/// Offers documents of three loops to a receiver that answers each request so; gives what it took.
+/// Offers documents of three loops to a receiver that gives these answers; returns what it took.
 fn taken_by(answer: impl Fn(u64, &Item) -> Result<(), Failure> + Clone + Send + 'static) -> (Vec<String>, Held) {
     let dir = tempfile::tempdir().unwrap();
     let (asked, sent) = (Arc::new(AtomicU64::new(0)), Arc::new(Mutex::new(Vec::new())));
@@ -209,17 +209,17 @@ fn taken_by(answer: impl Fn(u64, &Item) -> Result<(), Failure> + Clone + Send + 
 #[test]
 fn a_receiver_that_was_away_for_long_and_comes_back_in_part_costs_no_document() {
     let busy = || Err(Failure::Later("503".to_owned(), Some(Duration::ZERO)));
-    // Away for many times the attempts of a day, then two machines of which one is down, then both.
+    // Down for many times the attempts of a day, then two machines of which one is down, then both up.
     let (sent, held) = taken_by(move |turn, item| match turn {
         0..3000 => away(item),
         3000..3200 if turn % 2 == 0 => busy(),
         _ => Ok(()),
     });
     assert_eq!((sent.len(), held.metrics.delivery_refused.get()), (30, 0));
-    // Everything is refused for a while, and asked again at once.
+    // Everything is refused for a while, and tried again at once.
     let (sent, held) = taken_by(move |turn, _| if turn < 15 { busy() } else { Ok(()) });
     assert_eq!((sent.len(), held.metrics.delivery_refused.get()), (30, 0));
-    // One document is at fault itself.
+    // One document is itself the problem.
     let (sent, held) = taken_by(move |_, item| if item.id == "e4" { busy() } else { Ok(()) });
     assert_eq!((sent.len(), held.metrics.delivery_refused.get()), (29, 1));
 }
