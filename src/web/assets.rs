@@ -1,11 +1,11 @@
-//! The page's files, which lie inside the program.
+//! The page's files, embedded in the program.
 
 use axum::extract::Request;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use stiction_engine::short_hash;
 
-/// A table of files with their bytes.
+/// A table of embedded files with their bytes.
 macro_rules! embedded {
     ($($name:literal)*) => { &[$(($name, include_bytes!(concat!("assets/", $name)))),*] };
 }
@@ -71,7 +71,7 @@ static FILES: &[(&str, &[u8])] = embedded! {
     "workbench.js"
 };
 
-/// The media type by the name's ending.
+/// The media type by file extension.
 fn kind_of(name: &str) -> &'static str {
     match name.rsplit_once('.').map(|(_, end)| end) {
         Some("html") => "text/html; charset=utf-8",
@@ -82,7 +82,7 @@ fn kind_of(name: &str) -> &'static str {
     }
 }
 
-/// Answers with one of the page's files, or says that there is none.
+/// Serves one of the page's files, or 404.
 pub async fn asset(request: Request) -> Response {
     let path = request.uri().path().trim_start_matches('/');
     let wanted = if path.is_empty() { "index.html" } else { path };
@@ -91,7 +91,7 @@ pub async fn asset(request: Request) -> Response {
     };
     let tag = format!("\"{}\"", short_hash(bytes));
     let known = request.headers().get(header::IF_NONE_MATCH).is_some_and(|seen| seen.as_bytes() == tag.as_bytes());
-    // Asked again each time, answered in a few bytes: an update of the program shows at once.
+    // The browser asks every time and gets a short answer if nothing changed, so an update of the program shows at once.
     let headers =
         [(header::CONTENT_TYPE, kind_of(name)), (header::CACHE_CONTROL, "no-cache"), (header::ETAG, tag.as_str())];
     if known {

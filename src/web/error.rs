@@ -1,14 +1,14 @@
-//! How a request is refused: a status, and what is wrong with the remedy in plain words.
+//! The answer to a refused request: a status, and a text with cause and remedy.
 
 use axum::Json;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
 
-/// When a request that came at a busy time may be tried again, s.
+/// When to try again after a request at a busy time, s.
 const RETRY_AFTER_S: &str = "2";
 
-/// A request that is refused.
+/// A refused request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ApiError {
     status: StatusCode,
@@ -16,25 +16,25 @@ pub struct ApiError {
 }
 
 impl ApiError {
-    /// Refused with this status and these words.
+    /// A refusal with this status and text.
     #[must_use]
     pub fn new(status: StatusCode, why: impl Into<String>) -> Self {
         Self { status, why: why.into() }
     }
 
-    /// There is no such thing.
+    /// 404: not found.
     #[must_use]
     pub fn not_found(what: impl Into<String>) -> Self {
         Self::new(StatusCode::NOT_FOUND, what)
     }
 
-    /// The request cannot be done as it was made.
+    /// 422: the request cannot be carried out as it is.
     #[must_use]
     pub fn unfit(why: impl Into<String>) -> Self {
         Self::new(StatusCode::UNPROCESSABLE_ENTITY, why)
     }
 
-    /// Not now.
+    /// 503: not now.
     #[must_use]
     pub fn busy(why: impl Into<String>) -> Self {
         Self::new(StatusCode::SERVICE_UNAVAILABLE, why)
@@ -46,7 +46,7 @@ impl ApiError {
         self.status
     }
 
-    /// What is wrong, with the remedy.
+    /// Cause and remedy.
     #[must_use]
     pub fn why(&self) -> &str {
         &self.why
@@ -59,7 +59,7 @@ impl IntoResponse for ApiError {
         if matches!(self.status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE) {
             let headers = response.headers_mut();
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static(RETRY_AFTER_S));
-            // A client that has to wait must not keep the connection from others.
+            // A client that has to wait must not occupy a connection.
             headers.insert(header::CONNECTION, HeaderValue::from_static("close"));
         }
         response

@@ -1,25 +1,25 @@
-//! `/metrics` in the two forms that collectors ask for, with figures of the process itself.
+//! `/metrics` in the two formats that collectors ask for, including figures of the process.
 
 use std::fmt::Write as _;
 
-/// The form of OpenMetrics.
+/// Media type of OpenMetrics.
 pub(super) const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-/// The form that Prometheus had before, and that `promtool check metrics` reads.
+/// Media type of the older Prometheus format, which `promtool check metrics` reads.
 pub(super) const PLAIN: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// Encodings of an answer.
+/// Format of an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Form {
     /// OpenMetrics.
     Open,
-    /// The older form.
+    /// The older format.
     Plain,
-    /// It wants neither.
+    /// The client accepts neither.
     Neither,
 }
 
-/// The form that a request likes best (RFC 9110, 12.5.1). Who says nothing gets OpenMetrics; who takes anything gets the older
-/// form, which every tool reads.
+/// The format that the request prefers (RFC 9110, 12.5.1). Without a preference it is OpenMetrics; for `*/*` it is the older
+/// format, which every tool reads.
 pub(super) fn form(accept: Option<&str>) -> Form {
     let Some(accept) = accept.filter(|a| !a.trim().is_empty()) else { return Form::Open };
     let [open, plain] = [["application", "openmetrics-text"], ["text", "plain"]].map(|kind| weight(accept, kind));
@@ -30,7 +30,7 @@ pub(super) fn form(accept: Option<&str>) -> Form {
     }
 }
 
-/// How much a request likes a media type: what the most telling range says, 0 for never.
+/// Weight of a media type in the request, from the most specific matching range; 0 if not accepted.
 fn weight(accept: &str, [kind, subtype]: [&str; 2]) -> f64 {
     let mut best = (0, 0.0);
     for range in accept.split(',') {
@@ -50,7 +50,7 @@ fn weight(accept: &str, [kind, subtype]: [&str; 2]) -> f64 {
     best.1
 }
 
-/// OpenMetrics in the older form: there a counter is described under the name that its samples have.
+/// Converts OpenMetrics to the older format, in which a counter is described under the name of its samples.
 pub(super) fn plain(open_metrics: &str) -> String {
     let types = open_metrics.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split_once(' '));
     let types: std::collections::HashMap<&str, &str> = types.collect();
@@ -61,7 +61,7 @@ pub(super) fn plain(open_metrics: &str) -> String {
             _ if line == "# EOF" || line.starts_with("# UNIT ") => {}
             Some((name, rest)) => {
                 let keyword = &line[..7];
-                // An info is a gauge of 1 there.
+                // The older format has no info type; it is a gauge of 1.
                 let (end, rest) = match (types.get(name), rest) {
                     (Some(&"counter"), rest) => ("_total", rest),
                     (Some(&"info"), "info") => ("_info", "gauge"),
@@ -78,8 +78,8 @@ pub(super) fn plain(open_metrics: &str) -> String {
     out
 }
 
-/// CPU time, memory, files and start of this process, under the names that every collector knows; empty where the
-/// system does not tell.
+/// CPU time, memory, files and start time of this process, under the names that collectors know; empty if the system does not
+/// provide them.
 pub(super) fn of_process() -> String {
     process().unwrap_or_default()
 }
@@ -87,7 +87,7 @@ pub(super) fn of_process() -> String {
 #[cfg(target_os = "linux")]
 fn process() -> Option<String> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // The name before may hold blanks and brackets; fields count from the state, which is the third.
+    // The process name before it may contain spaces and brackets. Fields are counted from the state, which is the third.
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let field = |number: usize| fields.get(number - 3).and_then(|f| f.parse::<f64>().ok());
     let (ticks, page) = (rustix::param::clock_ticks_per_second() as f64, rustix::param::page_size() as f64);

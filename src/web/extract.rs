@@ -1,4 +1,4 @@
-//! What requests carry, read into types; what does not fit is refused in the same form as everything else.
+//! Extracts typed data from requests; a mismatch is refused in the same form as every other error.
 
 use axum::Json;
 use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
@@ -37,7 +37,7 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for QueryParams<T>
     }
 }
 
-/// The one name in a path.
+/// The single name in a path.
 #[derive(Debug, Clone)]
 pub struct PathName(pub String);
 

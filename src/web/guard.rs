@@ -1,11 +1,10 @@
-//! Who may do what over HTTP, and the headers of every answer.
+//! Access rules for HTTP, and the headers of every answer.
 //!
-//! Reading is open to everyone who reaches the address. A request that changes something needs a header that no page of
-//! another origin can send, the page's own origin where a browser names one, and the token. Where no token is configured it
-//! has to come from this machine: by the Unix socket, or directly over loopback where no proxy is configured. A plain TCP
-//! proxy adds no header, so its connections look like direct ones: only the token or `behind_proxy` stops them.
-//! The name by which the daemon is called is checked on every request, so that a foreign name that resolves to this machine
-//! opens nothing.
+//! Anyone who reaches the address may read. A request that changes something needs a header that no page of another origin can
+//! send, the page's own origin if a browser states one, and the token. If no token is configured, it must come from this
+//! machine: through the Unix socket, or directly over loopback if no proxy is configured. A plain TCP proxy adds no header, so
+//! its connections look like direct ones: only the token or `behind_proxy` stops them. The host name in the request is checked
+//! every time, so that a foreign name that resolves to this machine gives no access.
 
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -22,7 +21,7 @@ use super::server::{IdleTimer, Peer};
 use crate::runtime::queue::Rate;
 use crate::runtime::queue::logged_rate;
 
-/// The header that what changes something carries: a page of another origin cannot send it without being asked first.
+/// Header required for changes: a page of another origin cannot send it without a preflight request.
 pub const OWN_HEADER: &str = "x-stictiond";
 
 /// The page may load its own files, and no script or style inside the markup.
@@ -32,26 +31,26 @@ const CONTENT: &str = "default-src 'self'; img-src 'self' data:; object-src 'non
 /// Characters of a refused path that are logged.
 const PATH_LOGGED: usize = 64;
 
-/// The rules.
+/// The access rules.
 #[derive(Debug)]
 pub struct Guard {
-    /// Names under which the server may be called, beside addresses and `localhost`.
+    /// Host names of the server, in addition to addresses and `localhost`.
     pub hosts: Vec<String>,
-    /// The token that every command carries. Without one, commands come from this machine alone.
+    /// The token required for commands. Without one, commands are accepted from this machine only.
     pub token: Option<String>,
-    /// Whether connections come through a proxy, so that a loopback peer may be anybody.
+    /// Whether connections come through a proxy, so that a loopback peer may be anyone.
     pub behind_proxy: bool,
     logged: Mutex<Rate>,
     started: Instant,
 }
 
-/// Whether a client may change something, as `token` of `/api/v1/site` says it.
+/// Whether a client may change something, as reported in `token` of `/api/v1/site`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Permission {
     /// Yes: no token is configured, and the client is on this machine.
     None,
-    /// Yes, by the token that it sent.
+    /// Yes: it sent the token.
     Given,
     /// Only with the token.
     Needed,
@@ -72,13 +71,13 @@ fn text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
     headers.get(name).and_then(|value| value.to_str().ok())
 }
 
-/// Whether a proxy says that it forwards this request.
+/// Whether a proxy states that it forwards this request.
 fn is_forwarded(headers: &HeaderMap) -> bool {
     let says = |name: &str| matches!(name, "forwarded" | "via" | "x-real-ip") || name.starts_with("x-forwarded-");
     headers.keys().any(|name| says(name.as_str()))
 }
 
-/// Whether a client called this machine by a name that every machine has for itself.
+/// Whether the client used a name that means this machine on every machine.
 fn is_called_locally(headers: &HeaderMap) -> bool {
     let name = name_of(text(headers, header::HOST).unwrap_or_default());
     name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
@@ -91,7 +90,7 @@ impl Guard {
         Self { hosts, token, behind_proxy, logged: Mutex::new(logged_rate()), started: Instant::now() }
     }
 
-    /// Logs a request that the client may not make, but not all of a flood. What others sent is logged escaped.
+    /// Logs a refused request, at a limited rate. Text from outside is escaped.
     fn log_refusal(&self, method: &Method, path: &str, peer: Option<Peer>, refused: &ApiError) {
         let now_s = self.started.elapsed().as_secs_f64();
         if self.logged.lock().unwrap_or_else(PoisonError::into_inner).allow(now_s) {
@@ -100,7 +99,7 @@ impl Guard {
         }
     }
 
-    /// Whether a browser may call the server by this name.
+    /// Whether the server may be called by this name.
     fn knows(&self, host: &str) -> bool {
         let name = name_of(host);
         name.parse::<IpAddr>().is_ok()
@@ -108,7 +107,7 @@ impl Guard {
             || self.hosts.iter().any(|known| known.eq_ignore_ascii_case(name) || known.eq_ignore_ascii_case(host))
     }
 
-    /// Whether a request comes from this machine, as far as can be known.
+    /// Whether a request comes from this machine, as far as this can be known.
     fn is_local(&self, peer: Peer, headers: &HeaderMap) -> bool {
         let direct = match peer {
             Peer::Socket => true,
@@ -119,7 +118,7 @@ impl Guard {
         direct && !is_forwarded(headers)
     }
 
-    /// Rights of a request from there.
+    /// Permission of a request from this peer.
     #[must_use]
     pub fn permission(&self, peer: Peer, headers: &HeaderMap) -> Permission {
         let Some(token) = &self.token else {
@@ -127,7 +126,7 @@ impl Guard {
         };
         let given = text(headers, header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
         let digest = |text: &str| Sha256::digest(text.as_bytes());
-        // The time that a comparison of digests takes tells nothing of the secrets.
+        // Comparing digests reveals nothing about the secrets by its duration.
         let same = digest(given.unwrap_or_default().trim()) == digest(token);
         if same { Permission::Given } else { Permission::Needed }
     }

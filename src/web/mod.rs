@@ -1,4 +1,4 @@
-//! HTTP: the page for people with the API under it, `/metrics` for Prometheus, `/healthz` for monitoring.
+//! HTTP: the page with its API, `/metrics` for Prometheus, `/healthz` for monitoring.
 //!
 //! It reads what the engine's thread publishes for it and what the recordings hold, and sends commands through the engine's
 //! queue. [`server`] limits connections, [`guard`] decides who may do what, [`api`] answers for a daemon, [`assets`] has
@@ -40,14 +40,14 @@ use guard::Guard;
 use server::{CONNECTIONS_PER_HOST, Limits, MAX_CONNECTIONS};
 use stiction_engine::config::Page;
 
-/// Silence of the engine after which `/healthz` says that the daemon is unhealthy.
+/// Time without a report from the engine after which `/healthz` reports the daemon as unhealthy.
 const STALLED_AFTER: Duration = Duration::from_secs(30);
-/// Pause before an address that cannot be used is tried again.
+/// Pause before the next attempt to bind an address.
 const BIND_AGAIN: Duration = Duration::from_secs(5);
 /// Keys of the faults while an address is not served.
 const FAULT: &str = "web";
 const SOCKET_FAULT: &str = "web socket";
-/// Shortest token, characters: a shorter one can be guessed.
+/// Shortest token, characters; shorter ones can be guessed.
 const MIN_TOKEN: usize = 16;
 
 #[derive(Clone)]
@@ -56,10 +56,10 @@ struct Shared {
     snapshot: HealthSnapshot,
 }
 
-/// The rules that the configuration asks for.
+/// The access rules from the configuration.
 ///
 /// # Errors
-/// The token's file cannot be read or has no token in it; the time zone is not known.
+/// The token's file cannot be read or has no token in it; the time zone is unknown.
 pub fn guard_of(page: &Page) -> anyhow::Result<Guard> {
     time_zone_of(page)?;
     let token = token_of(page)?;
@@ -68,17 +68,17 @@ pub fn guard_of(page: &Page) -> anyhow::Result<Guard> {
     Ok(Guard::new(hosts, token, page.behind_proxy))
 }
 
-/// The time zone that the page shows times in.
+/// The time zone for displayed times.
 ///
 /// # Errors
-/// It is not known.
+/// It is unknown.
 pub fn time_zone_of(page: &Page) -> anyhow::Result<jiff::tz::TimeZone> {
     let zone = &page.time_zone;
     jiff::tz::TimeZone::get(zone)
         .with_context(|| format!("[web] time_zone {zone:?}: write a name such as Europe/Berlin"))
 }
 
-/// The token that the page asks for; `None` where it asks for none.
+/// The token required by the page; `None` if none is configured.
 ///
 /// # Errors
 /// The token's file cannot be read or has no token in it.
@@ -97,7 +97,7 @@ pub fn token_of(page: &Page) -> anyhow::Result<Option<String>> {
     Ok(Some(text.to_owned()))
 }
 
-/// Name of this machine in its network.
+/// Network name of this machine.
 #[cfg(target_os = "linux")]
 fn machine_name() -> Option<String> {
     rustix::system::uname().nodename().to_str().ok().map(str::to_owned)
@@ -108,25 +108,25 @@ fn machine_name() -> Option<String> {
     None
 }
 
-/// The page's files, and under `/api/v1` the API with its description.
+/// The page's files, and the API with its description under `/api/v1`.
 pub fn page(api: Router, description: serde_json::Value) -> Router {
     let api = api.merge(openapi::router(description)).fallback(table::nothing_there);
     Router::new().nest(table::BASE, api).fallback(get(assets::asset))
 }
 
-/// A router behind the rules.
+/// A router protected by the rules.
 pub fn guarded(router: Router, guard: Arc<Guard>) -> Router {
     router.layer(from_fn_with_state(guard, guard::guard))
 }
 
-/// How many connections one host may hold: all where a proxy brings those of many hosts.
+/// Most connections of one host; all connections if a proxy brings those of many hosts.
 #[must_use]
 pub const fn connections_per_host(guard: &Guard) -> usize {
     if guard.behind_proxy { MAX_CONNECTIONS } else { CONNECTIONS_PER_HOST }
 }
 
-/// Starts the server as configured, with the page if there is one. An address that cannot be used is a fault, and is tried
-/// again until it can: the daemon goes on without it.
+/// Starts the configured servers, with the page if it is enabled. An address that cannot be bound is a fault, and is tried
+/// again until it can be; the daemon continues without it.
 ///
 /// # Errors
 /// Those of [`guard_of`].
@@ -138,7 +138,7 @@ pub fn serve(view: View, registry: Registry) -> Pin<Box<dyn Future<Output = anyh
 async fn start(mut view: View, registry: Registry) -> anyhow::Result<Served> {
     let settings = view.config.get().web.clone();
     let rules = settings.page.clone();
-    // The token's file may lie on a disk that hangs.
+    // The token's file may be on a disk that hangs.
     let guard = Arc::new(tokio::task::spawn_blocking(move || guard_of(&rules)).await??);
     if !settings.enabled {
         return Ok(Served { address: None, stop: Box::new(|| ()) });
@@ -186,7 +186,7 @@ async fn accept_later(listen: String, router: Router, limits: Arc<Limits>, fault
     }
 }
 
-/// Serves the Unix socket once it can be made.
+/// Serves the Unix socket once it can be created.
 #[cfg(unix)]
 async fn serve_socket(path: PathBuf, router: Router, limits: Arc<Limits>, faults: Arc<Faults>) {
     loop {
@@ -205,7 +205,7 @@ async fn serve_socket(path: PathBuf, router: Router, limits: Arc<Limits>, faults
     }
 }
 
-/// A socket that the daemon's user and group may open. One that a killed daemon left is replaced.
+/// A socket that the daemon's user and group may open. One left by a killed daemon is replaced.
 #[cfg(unix)]
 async fn open_socket(path: &Path) -> std::io::Result<tokio::net::UnixListener> {
     use std::os::unix::fs::{FileTypeExt, PermissionsExt};
@@ -231,7 +231,7 @@ async fn metrics_text(State(shared): State<Shared>, headers: HeaderMap) -> Respo
     if prometheus_client::encoding::text::encode(&mut text, &shared.registry).is_err() {
         return StatusCode::INTERNAL_SERVER_ERROR.into_response();
     }
-    // The figures of the process go before the mark of the end.
+    // The figures of the process go before the end mark.
     let end = text.find("# EOF").unwrap_or(text.len());
     text.insert_str(end, &exposition::of_process());
     let accept = headers.get(header::ACCEPT).and_then(|kinds| kinds.to_str().ok());
@@ -245,8 +245,7 @@ async fn metrics_text(State(shared): State<Shared>, headers: HeaderMap) -> Respo
     }
 }
 
-/// 200 with the daemon's health document; 503 where the engine has not reported for [`STALLED_AFTER`] or recording has
-/// stopped.
+/// 200 with the daemon's health document; 503 if the engine has not reported for [`STALLED_AFTER`] or recording has stopped.
 async fn healthz(State(shared): State<Shared>) -> Response {
     let (made, health) = shared.snapshot.read().unwrap_or_else(PoisonError::into_inner).clone();
     let is_well = made.elapsed() < STALLED_AFTER && health.stopped.is_empty();

@@ -1,4 +1,4 @@
-//! The description of an API, made from its table of operations.
+//! The OpenAPI description of an API, generated from its table of operations.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 
 use super::table::{self, BASE, Operation, ResponseKind, of};
 
-/// OpenAPI 3.1 of these operations under [`BASE`], and of the description itself.
+/// OpenAPI 3.1 of these operations under [`BASE`], including the description itself.
 #[must_use]
 pub fn document<S>(operations: &[Operation<S>]) -> Value {
     let settings =
@@ -38,7 +38,7 @@ pub fn document<S>(operations: &[Operation<S>]) -> Value {
     })
 }
 
-/// The description itself.
+/// The operation that returns the description.
 fn own() -> [Operation<Arc<Value>>; 1] {
     [Operation {
         method: "get",
@@ -51,7 +51,7 @@ fn own() -> [Operation<Arc<Value>>; 1] {
     }]
 }
 
-/// Serves a description.
+/// Serves the description.
 pub(super) fn router(description: Value) -> Router {
     table::router(&own()).with_state(Arc::new(description))
 }

@@ -1,5 +1,5 @@
-//! Connections: limited in number, in time and in the bytes that wait for their readers, for each host and in all, so that
-//! one that is never finished costs little and ends.
+//! Connections, with limits on their number, their time and the bytes that wait for their readers, for each host and in total,
+//! so that a connection that is never finished costs little and ends.
 
 use std::collections::HashMap;
 use std::io::{self, IoSlice};
@@ -25,33 +25,33 @@ use tokio::net::{TcpListener, TcpSocket, lookup_host};
 
 use super::error::ApiError;
 
-/// Connections at a time: a browser opens up to six, and a page keeps one of them for good.
+/// Most connections at a time: a browser opens up to six, of which a page keeps one permanently.
 pub const MAX_CONNECTIONS: usize = 256;
-/// How many of them one host may hold. A proxy may hold all: many hosts are behind it.
+/// Most connections of one host. A proxy may hold all, since many hosts are behind it.
 pub const CONNECTIONS_PER_HOST: usize = 64;
 /// How long a client may take to send the head of a request.
 const HEADER_WITHIN: Duration = Duration::from_secs(5);
-/// How long a connection may last without a sign of life.
+/// How long a connection may last without activity.
 const QUIET_WITHIN: Duration = Duration::from_secs(60);
-/// How long a client may take none of what waits for it.
+/// How long a client may read nothing while bytes wait for it.
 const UNREAD_WITHIN: Duration = Duration::from_secs(20);
-/// Bytes of answers that may wait for their readers, in all and for one host.
+/// Bytes of answers that may wait for their readers, in total and for one host.
 pub const UNREAD_BYTES: usize = 96 << 20;
 const UNREAD_BYTES_PER_HOST: usize = 32 << 20;
-/// An answer of no more bytes is not counted.
+/// Answers up to this size are not counted, bytes.
 const SMALL_ANSWER: u64 = 64 << 10;
-/// Bytes that the system buffers for a connection that takes nothing: its own limit is some megabytes.
+/// Bytes that the system buffers for a connection that reads nothing; the system's own limit is some megabytes.
 const SEND_BUFFER: u32 = 256 << 10;
 /// Connections that may wait to be accepted.
 const BACKLOG: u32 = 1024;
-/// How often connections are checked for a sign of life.
+/// Interval between checks for activity.
 const LOOK_EVERY: Duration = Duration::from_secs(5);
-/// Largest head of a request, bytes.
+/// Largest request head, bytes.
 const MAX_HEADER_BYTES: usize = 16 << 10;
-/// Pause after a connection could not be accepted.
+/// Pause after a failure to accept a connection.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
-/// Where a connection comes from.
+/// Origin of a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Peer {
     /// A host, which may be this machine.
@@ -61,7 +61,7 @@ pub enum Peer {
 }
 
 impl Peer {
-    /// The peer that limits count: an IPv6 host owns all addresses of its /64 network.
+    /// The peer as limits count it: an IPv6 host owns all addresses of its /64 network.
     fn counted(self) -> Self {
         match self {
             Self::Host(address) => Self::Host(match address.to_canonical() {
@@ -73,7 +73,7 @@ impl Peer {
     }
 }
 
-/// How many of something may be open at a time: in all, and for each peer.
+/// Limits on the number of open items: in total, and for each peer.
 #[derive(Debug)]
 pub struct Limits {
     total: usize,
@@ -81,7 +81,7 @@ pub struct Limits {
     open: Mutex<HashMap<Peer, usize>>,
 }
 
-/// Some of them, until it is dropped.
+/// A number of open items, until it is dropped.
 #[derive(Debug)]
 pub struct Slot {
     limits: Arc<Limits>,
@@ -90,19 +90,19 @@ pub struct Slot {
 }
 
 impl Limits {
-    /// These limits.
+    /// Limits with these values.
     #[must_use]
     pub fn new(total: usize, per_peer: usize) -> Arc<Self> {
         Arc::new(Self { total, per_peer, open: Mutex::default() })
     }
 
-    /// A slot for this peer; `None` where it has as many as it may, or all are taken.
+    /// A slot for this peer; `None` if the peer has its maximum or all slots are taken.
     #[must_use]
     pub fn take(self: &Arc<Self>, peer: Peer) -> Option<Slot> {
         self.take_many(peer, 1)
     }
 
-    /// The same for a given number.
+    /// The same for several slots.
     #[must_use]
     pub fn take_many(self: &Arc<Self>, peer: Peer, amount: usize) -> Option<Slot> {
         let peer = peer.counted();
@@ -128,13 +128,13 @@ impl Drop for Slot {
     }
 }
 
-/// The limits of the bytes of answers that wait for their readers. A proxy may hold all: many hosts are behind it.
+/// Limits on the bytes of answers that wait for their readers. A proxy may hold all, since many hosts are behind it.
 #[must_use]
 pub fn unread(behind_proxy: bool) -> Arc<Limits> {
     Limits::new(UNREAD_BYTES, if behind_proxy { UNREAD_BYTES } else { UNREAD_BYTES_PER_HOST })
 }
 
-/// An answer's bytes with the room that they take of what may wait.
+/// An answer's bytes with their share of the limit.
 struct Held {
     bytes: Bytes,
     _room: Slot,
@@ -146,8 +146,8 @@ impl AsRef<[u8]> for Held {
     }
 }
 
-/// Counts the bytes of an answer until the last of them is sent; refuses one for which there is no room. One that is larger
-/// than all room of a host takes all of it.
+/// Counts the bytes of an answer until the last of them is sent; refuses an answer for which there is no room. An answer larger
+/// than a host's limit takes the whole limit.
 pub async fn count_unread(State(unread): State<Arc<Limits>>, request: Request, next: Next) -> Response {
     let peer = request.extensions().get::<Peer>().copied();
     let response = next.run(request).await;
@@ -165,8 +165,8 @@ pub async fn count_unread(State(unread): State<Arc<Limits>>, request: Request, n
     }
 }
 
-/// When a connection last showed life: a request began, a part of a body arrived, a part of a stream was taken. And since
-/// when its peer takes nothing of what it was sent.
+/// When a connection was last active (a request began, a part of a body arrived, a part of a stream was taken), and since when
+/// its peer has read nothing of what was sent.
 #[derive(Debug, Clone)]
 pub struct IdleTimer {
     since: Instant,
@@ -174,7 +174,7 @@ pub struct IdleTimer {
     unread_ms: Arc<AtomicU64>,
 }
 
-/// No bytes wait for a peer.
+/// No bytes wait for the peer.
 const NONE_WAIT: u64 = u64::MAX;
 
 impl IdleTimer {
@@ -186,12 +186,12 @@ impl IdleTimer {
         u64::try_from(self.since.elapsed().as_millis()).unwrap_or(NONE_WAIT - 1)
     }
 
-    /// Notes a sign of life.
+    /// Notes activity.
     pub fn touch(&self) {
         self.last_ms.fetch_max(self.now_ms(), Ordering::Relaxed);
     }
 
-    /// Notes whether the system took bytes for the peer.
+    /// Notes whether the system accepted bytes for the peer.
     fn wrote<T>(&self, polled: Poll<T>) -> Poll<T> {
         if polled.is_ready() {
             self.unread_ms.store(NONE_WAIT, Ordering::Relaxed);
@@ -201,7 +201,7 @@ impl IdleTimer {
         polled
     }
 
-    /// Whether there was no sign of life for too long, or bytes wait for too long.
+    /// Whether there was no activity for too long, or bytes have waited too long.
     fn is_over(&self, now_ms: u64) -> bool {
         let since = |ms: u64| Duration::from_millis(now_ms.saturating_sub(ms));
         let unread_ms = self.unread_ms.load(Ordering::Relaxed);
@@ -209,7 +209,7 @@ impl IdleTimer {
             || (unread_ms != NONE_WAIT && since(unread_ms) > UNREAD_WITHIN)
     }
 
-    /// Ready once it is over.
+    /// Returns once one of the limits is exceeded.
     async fn expired(&self) {
         while !self.is_over(self.now_ms()) {
             tokio::time::sleep(LOOK_EVERY).await;
@@ -217,7 +217,7 @@ impl IdleTimer {
     }
 }
 
-/// A connection that notes whether its peer takes what it is sent.
+/// A connection that notes whether its peer reads what it is sent.
 struct Watched<S> {
     stream: S,
     idle: IdleTimer,
@@ -257,10 +257,10 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
     }
 }
 
-/// Listens on an address; of what a client does not take, the system holds little.
+/// Listens on an address; the system buffers little of what a client does not read.
 ///
 /// # Errors
-/// That of the system, for the last address that the name has.
+/// The system's error for the last address of the name.
 pub async fn listen(address: &str) -> io::Result<TcpListener> {
     let mut refused = io::Error::new(io::ErrorKind::InvalidInput, "the name has no address");
     for address in lookup_host(address).await? {
@@ -276,24 +276,24 @@ fn listen_at(address: SocketAddr) -> io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
     #[cfg(unix)]
     socket.set_reuseaddr(true)?;
-    // Connections have it from the listener.
+    // Accepted connections inherit it from the listener.
     socket.set_send_buffer_size(SEND_BUFFER)?;
     socket.bind(address)?;
     socket.listen(BACKLOG)
 }
 
-/// Accepts connections for ever. One beyond the limits is closed at once.
+/// Accepts connections for ever. Connections beyond the limits are closed at once.
 pub async fn accept(listener: TcpListener, router: Router, limits: Arc<Limits>) {
     loop {
         match listener.accept().await {
             Ok((stream, address)) => answer(stream, Peer::Host(address.ip()), &router, &limits),
-            // Most likely no file descriptor is free.
+            // Most likely there is no free file descriptor.
             Err(_) => tokio::time::sleep(ACCEPT_PAUSE).await,
         }
     }
 }
 
-/// The same on a Unix socket.
+/// The same for a Unix socket.
 #[cfg(unix)]
 pub(super) async fn accept_local(listener: tokio::net::UnixListener, router: Router, limits: Arc<Limits>) {
     loop {
@@ -317,7 +317,7 @@ fn answer(
     tokio::spawn(async move {
         let mut http = http1::Builder::new();
         http.timer(TokioTimer::new()).header_read_timeout(HEADER_WITHIN).max_buf_size(MAX_HEADER_BYTES);
-        // An error here is one of the client: it gets no answer, and nothing else depends on it.
+        // An error here is the client's: it gets no answer, and nothing else depends on it.
         tokio::select! {
             _ = http.serve_connection(TokioIo::new(watched), service) => {}
             () = idle.expired() => {}

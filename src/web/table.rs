@@ -1,4 +1,4 @@
-//! One line for each thing that the API does: the router and its OpenAPI description are made from the same lines.
+//! The table of the API's operations, from which both the router and the OpenAPI description are generated.
 
 use axum::Router;
 use axum::routing::MethodRouter;
@@ -6,53 +6,53 @@ use schemars::{Schema, SchemaGenerator};
 
 use super::error::ApiError;
 
-/// Where the API lies.
+/// Path of the API.
 pub const BASE: &str = "/api/v1";
 
 /// A parameter of a query or a path.
 #[derive(Debug, Clone, Copy)]
 pub struct Parameter {
-    /// Its name; `{name}` of the path is one too.
+    /// Its name; also `{name}` in a path.
     pub name: &'static str,
-    /// What it is, in words.
+    /// Its description.
     pub words: &'static str,
 }
 
-/// What an operation answers with.
+/// Kind of an operation's answer.
 #[derive(Clone, Copy)]
 pub enum ResponseKind {
-    /// JSON of this shape.
+    /// JSON of this schema.
     Json(fn(&mut SchemaGenerator) -> Schema),
-    /// A file of this kind.
+    /// A file of this media type.
     File(&'static str),
-    /// Server-sent events, whose data are JSON.
+    /// Server-sent events with JSON data.
     Events,
 }
 
-/// One line of the table.
+/// An operation.
 pub struct Operation<S> {
     /// `get`, `post` or `delete`.
     pub method: &'static str,
-    /// Below [`BASE`].
+    /// Path below [`BASE`].
     pub path: &'static str,
-    /// What it does, in words.
+    /// Its description.
     pub summary: &'static str,
-    /// What it may be told beside the path's own names.
+    /// Its query parameters, in addition to those in the path.
     pub query: &'static [Parameter],
-    /// What it is sent, as JSON.
+    /// Schema of its JSON body, if it has one.
     pub body: Option<fn(&mut SchemaGenerator) -> Schema>,
-    /// What it gives.
+    /// Its answer.
     pub response: ResponseKind,
-    /// What answers.
+    /// Its handler.
     pub handler: fn() -> MethodRouter<S>,
 }
 
-/// The shape of a type.
+/// The schema of a type.
 pub fn of<T: schemars::JsonSchema>(generator: &mut SchemaGenerator) -> Schema {
     generator.subschema_for::<T>()
 }
 
-/// A router of operations.
+/// A router for these operations.
 pub fn router<S: Clone + Send + Sync + 'static>(operations: &[Operation<S>]) -> Router<S> {
     operations.iter().fold(Router::new(), |router, o| router.route(o.path, (o.handler)()))
 }

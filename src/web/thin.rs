@@ -1,8 +1,8 @@
-//! Fewer points of a curve, with its extremes: what a screen can show of it.
+//! Thins a curve for a screen, keeping its extremes.
 
-/// Places of at most about `points` points of curves over one axis, ascending: first and last, and of every equal part of
-/// the rest the place of each curve's least and greatest value. All places where there are no more than `points`. Values
-/// that are not finite count as missing.
+/// Indices of at most about `points` points of curves over one axis, ascending: the first and last, and the minimum and maximum
+/// of each curve in every equal part between them. All indices if there are no more than `points`. Values that are not finite
+/// count as missing.
 #[must_use]
 pub fn thin(curves: &[&[f64]], points: usize) -> Vec<usize> {
     let length = curves.iter().map(|c| c.len()).max().unwrap_or(0);

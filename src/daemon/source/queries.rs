@@ -64,8 +64,8 @@ impl Queries {
             last.write().unwrap_or_else(PoisonError::into_inner).insert(key, value);
         }
         let mut queryables = Vec::new();
-        // No wildcard matches a verbatim chunk: the daemon's own health, the groups of loops and the schemas. Another daemon's health is not
-        // ours to answer.
+        // No wildcard matches a verbatim chunk: the daemon's own health, the groups of loops and the schemas. We do not answer
+        // for another daemon's health.
         for rest in ["**", &format!("@daemon/{daemon_id}/**"), "@plant/**", "@schema/*"] {
             let (key, queries) = (topic::plane(&self.prefix, rest), self.clone());
             let queryable = session.declare_queryable(key.clone()).callback(move |query| queries.take(query)).await;

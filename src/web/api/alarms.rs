@@ -1,4 +1,4 @@
-//! Alarms: the list, and what people do to them.
+//! The list of alarms, and commands on them.
 
 use axum::extract::State;
 use axum::response::Response;
@@ -18,19 +18,19 @@ use crate::web::server::IdleTimer;
 use stiction::core::units::ns_from_s;
 use stiction_engine::alarm::{AlarmDocument, Command, CommandError, State as AlarmState};
 
-/// How long an alarm that is at rest again stays in the list.
+/// How long an alarm remains in the list after it has returned to normal.
 const SHOWN_S: f64 = 86_400.0;
-/// How long a diagnosis may take.
+/// Time limit of a diagnosis.
 const DIAGNOSIS_WITHIN: Duration = Duration::from_secs(300);
 
 /// The list.
 #[derive(Serialize, schemars::JsonSchema)]
 struct Alarms {
-    /// Alarms that are not at rest, and those that changed within a day.
+    /// Active alarms, and those that changed within a day.
     alarms: Vec<Listed>,
 }
 
-/// An alarm, and what somebody found at its valve.
+/// An alarm, and the last review of its valve.
 #[derive(Serialize, schemars::JsonSchema)]
 struct Listed {
     #[serde(flatten)]
@@ -45,21 +45,21 @@ struct Listed {
 struct Commanded {
     /// `ack`, `shelve`, `unshelve`, `suppress`, `unsuppress`, `out_of_service` or `in_service`.
     cmd: String,
-    /// Who.
+    /// Who sends it.
     by: String,
-    /// Why, in that person's words.
+    /// The reason, in that person's words.
     why: Option<String>,
-    /// Seconds on the shelf.
+    /// Duration of shelving, s.
     for_s: Option<u64>,
 }
 
-/// Who asks.
+/// Who requests a diagnosis, and how.
 #[derive(Debug, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Asking {
     /// The name.
     by: String,
-    /// Whether the cause is decided from the windows of earlier diagnoses, too.
+    /// Whether the windows of earlier diagnoses help to decide the cause.
     #[serde(default)]
     pool: bool,
 }

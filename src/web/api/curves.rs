@@ -1,4 +1,4 @@
-//! Curves over time, and the recorded samples that they are drawn from.
+//! Curves over time, and the recorded samples behind them.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -11,10 +11,10 @@ use stiction_engine::codec::topic;
 use stiction_files::LoadedLoop;
 use stiction_files::archive::{Archive, Reach, Wanted};
 
-/// How long a look back may take before it gives what it has.
+/// How long a search in the recordings may take before it returns what it has.
 pub(super) const PATIENCE: Duration = Duration::from_secs(4);
 
-/// Curves over one axis of time; null where a value is missing.
+/// Curves over a common time axis; null where a value is missing.
 #[derive(Debug, Clone, PartialEq, Serialize, schemars::JsonSchema)]
 pub struct Curves {
     /// Stamps, ms since 1970.
@@ -27,7 +27,7 @@ pub struct Curves {
     pub sp: Option<Vec<Option<f64>>>,
 }
 
-/// Values that are numbers.
+/// Values, with `None` for those that are not finite.
 pub(super) fn known(values: &[f64]) -> Vec<Option<f64>> {
     values.iter().map(|v| Some(*v).filter(|v| v.is_finite())).collect()
 }
@@ -37,7 +37,7 @@ pub(super) fn recorded(archive: &Archive, name: &str, signals: &[Signal], range_
     recorded_within(archive, name, signals, range_ns).0
 }
 
-/// The same, and how far the look back came.
+/// The same, and how far back the search came.
 pub(super) fn recorded_within(
     archive: &Archive,
     name: &str,
@@ -50,10 +50,10 @@ pub(super) fn recorded_within(
     let mut one = LoadedLoop::new(name, Vec::new());
     let reach = archive.read(&wanted, &mut |found| {
         let Some((_, signal)) = topics.iter().find(|(topic, _)| topic == found.topic) else { return };
-        // What cannot be read was counted when it came.
+        // Unreadable samples were counted when they arrived.
         let _ = codec::decode(*signal, found.data, Some(found.encoding), None, found.t_ns, &mut one.samples);
     });
-    // Files come newest first; a stable sort keeps the order within a stamp.
+    // Files come newest first; a stable sort keeps the order of equal stamps.
     one.samples.sort_by_key(|sample| sample.t_ns);
     (one, reach)
 }

@@ -1,5 +1,5 @@
-//! What changes, as it changes: one stream a page. Changes of a second go out together and the newest counts, so a slow
-//! reader costs no memory; who comes back gets everything as it is now.
+//! Changes as they come, in one stream per page. Changes within a second are sent together, and only the newest of each kind,
+//! so a slow reader uses no more memory. After a reconnection everything is sent again.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -30,11 +30,11 @@ use stiction::core::units::ms_from_ns;
 use stiction_engine::alarm::AlarmDocument;
 use stiction_engine::codec::topic::Kind;
 
-/// Pause between two looks for changes.
+/// Pause between two checks for changes.
 const EVERY: Duration = Duration::from_secs(1);
-/// Looks between two words on the daemon itself.
+/// Checks between two events about the daemon itself.
 const SITE_EVERY: u32 = 5;
-/// Rows in one event: the first screen shows before the last row has come.
+/// Rows in one event, so that the first screen appears before all rows have come.
 const ROWS_AT_ONCE: usize = 250;
 
 #[derive(Debug, Deserialize)]
@@ -56,7 +56,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
     }]
 }
 
-/// The loop that a page shows, and what was sent of it.
+/// The loop that a page shows, and what was already sent of it.
 struct Watched {
     name: String,
     /// Newest stamp of its samples, ns.
@@ -67,7 +67,7 @@ struct Watched {
     gap: Option<Bytes>,
 }
 
-/// Progress of a stream.
+/// State of a stream.
 struct Watch {
     live: Shared,
     token: Permission,
@@ -80,14 +80,14 @@ struct Watch {
     ready: VecDeque<Ready>,
 }
 
-/// An event to send. It becomes text only when it is taken, so that little waits for a reader that stops.
+/// An event to send. It is serialized only when it is taken, so that little waits for a reader that stops.
 enum Ready {
     Event(Event),
     Rows(Rows),
     Alarm(Arc<AlarmDocument>),
 }
 
-/// Rows that changed after a version, those after a name.
+/// Rows that changed since a version, from the names after `after` on.
 #[derive(Default)]
 struct Rows {
     version: u64,
@@ -130,7 +130,7 @@ impl Watch {
     async fn next(&mut self) -> Event {
         loop {
             if let Some(event) = self.take() {
-                // Only what is taken is a sign of life: whoever reads no longer is let go.
+                // Only a taken event is a sign of life: a client that stops reading is disconnected.
                 self.idle.touch();
                 return event;
             }
@@ -153,7 +153,7 @@ impl Watch {
         }
     }
 
-    /// The next rows; those that remain come before everything else.
+    /// The next rows; the remaining ones go before all other events.
     fn rows(&mut self, Rows { version, after, full, gone }: Rows) -> Option<Event> {
         let now = now_ns();
         let rows = self.live.overview.rows_after(version, after.as_deref(), ROWS_AT_ONCE, now);
@@ -181,7 +181,7 @@ impl Watch {
         self.full |= full;
         let after = if full { 0 } else { self.version };
         if self.full {
-            // Who comes new has the alarms from the list, and no row of a loop that has left.
+            // A new client has the alarms from the list, and no rows of loops that have left.
             alarms.clear();
             gone.clear();
         }
@@ -189,7 +189,7 @@ impl Watch {
         self.ready.push_back(Ready::Rows(Rows { version: after, after: None, full, gone }));
         self.ready.extend(alarms.into_iter().map(Ready::Alarm));
         if compared {
-            // Only that there is something new: a page that shows groups asks for them.
+            // Says only that there are new groups; a page that shows them asks for them.
             self.push("groups", &json!({"now_ms": ms_from_ns(now_ns())}));
         }
         self.version = version;
@@ -208,10 +208,10 @@ impl Watch {
         let diagnosed = self.live.last_bytes(name, Kind::Gap);
         if diagnosed != *gap {
             *gap = diagnosed;
-            // Only that there is another one: it is asked for with the words that go with it.
+            // Says only that there is a new diagnosis; the page asks for it with its texts.
             self.ready.push_back(Ready::Event(event("gap", &json!({"loop": name}))));
         }
-        // A loop that has not appeared yet is no reason to end.
+        // The stream continues if the loop has not appeared yet.
         let Ok(looked) = self.live.look(name, None).await else { return };
         let Some(record) = looked.record else { return };
         if let Some((curves, newest_ns)) = curves_after(&record, *sent_ns) {

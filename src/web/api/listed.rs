@@ -1,4 +1,4 @@
-//! A long list, made as its reader takes it: what waits for one who does not read is a part of it, however long it is.
+//! Sends a long list in parts, each made only when the reader takes it, so that little waits for one who does not read.
 
 use std::convert::Infallible;
 use std::iter;
@@ -12,10 +12,10 @@ use serde::Serialize;
 
 use crate::web::server::IdleTimer;
 
-/// Entries of one part.
+/// Entries in one part.
 pub(super) const PART: usize = 50;
 
-/// An object whose last field is a list, given as it is without entries, and the entries part by part.
+/// The object `empty`, whose last field is an empty list, with the entries inserted part by part.
 pub(super) fn listed<T: Serialize + 'static>(
     empty: &impl Serialize,
     idle: IdleTimer,

@@ -1,4 +1,4 @@
-//! Loops: all of them in rows, and one with its newest documents and what they say in words.
+//! Loops: all of them in rows, and one with its newest documents and their meaning in words.
 
 use axum::extract::State;
 use axum::response::Response;
@@ -27,7 +27,7 @@ use stiction_engine::status::Headline;
 struct Loops {
     /// The daemon's clock, ms since 1970.
     now_ms: f64,
-    /// The plant in sentences.
+    /// The plant in a few sentences.
     headline: Headline,
     /// Every loop, by name.
     loops: Vec<Row>,
@@ -36,7 +36,7 @@ struct Loops {
 /// One loop.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Detail {
-    /// As in the list.
+    /// Its row in the list.
     row: Row,
     /// `stictiond.estimate.v1` of its newest window.
     estimate: Option<EstimateDocument>,
@@ -46,7 +46,7 @@ struct Detail {
     gap: Option<Value>,
     /// `stictiond.loop_health.v1`.
     health: Option<Value>,
-    /// What they say.
+    /// Their meaning in words.
     words: Words,
 }
 
@@ -57,46 +57,46 @@ struct Words {
     verdict: String,
     /// Its grade and what limits it, where stiction was found.
     grade: Option<String>,
-    /// How sure it is, the evidence, and why numbers are missing.
+    /// Its confidence, the evidence, and why numbers are missing.
     why: Vec<String>,
-    /// How much it sticks, where stiction was found.
+    /// How far it sticks, where stiction was found.
     size: Option<String>,
     /// What to do.
     what_to_do: Option<String>,
-    /// The bump test that would settle it, a numbered step a line; null where none is proposed, which `what_to_do` explains.
+    /// The bump test that would settle it, one numbered step a line; null if none is proposed, for the reason in `what_to_do`.
     test: Option<String>,
-    /// Gates of the newest window.
+    /// The quality gates of the newest window.
     gates: Vec<Explained>,
-    /// Indicators that weigh in the verdict, the heaviest first.
+    /// Indicators that contribute to the verdict, the strongest first.
     indicators: Vec<Indicated>,
     /// The gap diagnosis.
     gap: Option<String>,
-    /// The windows that were decided together, where there are several.
+    /// The windows that were judged together, if there are several.
     windows: Option<String>,
-    /// What its comparison with other loops gave.
+    /// Result of the comparison with other loops.
     other_loops: Option<String>,
-    /// What PV is made of, by that diagnosis.
+    /// The shares of PV's variance by cause, from that diagnosis.
     budget: Option<text::BudgetText>,
-    /// What the diagnosed record can tell.
+    /// What can be concluded from the diagnosed record.
     tellable: Vec<String>,
 }
 
-/// A name and what it means.
+/// A name and its meaning.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Explained {
     name: &'static str,
     words: &'static str,
 }
 
-/// An indicator and what it means.
+/// An indicator and its meaning.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Indicated {
     name: &'static str,
-    /// What it looks at.
+    /// What it measures.
     words: &'static str,
     score: Option<f64>,
     vote: Option<bool>,
-    /// Its part of the verdict, logits.
+    /// Its contribution to the verdict, log-odds.
     contribution: f64,
 }
 
@@ -142,7 +142,7 @@ async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<D
     let gap = live.last_document(&name, Kind::Gap);
     let mut words = newest.estimate.as_deref().map(|e| words_of(&e.assessment)).unwrap_or_default();
     if let Some(read) = gap.as_ref().and_then(|g| serde_json::from_value::<GapDocument>(g.clone()).ok()) {
-        // Of the valve the page says what its windows say together.
+        // About the valve, the page shows what its windows say together.
         words.gap = Some(text::of_gap(&read));
         (words.windows, words.other_loops) = (text::windows(&read), text::other_loops(&read));
         words.budget = text::budget(&read);

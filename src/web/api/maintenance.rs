@@ -1,4 +1,4 @@
-//! Which valves to work on first, and whether work on them helped; for the page, and as a table.
+//! Which valves to work on first, and whether earlier work on them helped; as JSON and as a table.
 
 use std::collections::HashMap;
 
@@ -19,15 +19,15 @@ use crate::web::extract::QueryParams;
 use stiction::core::units::{Moment, format_rfc3339, ms_from_ns, number};
 use stiction_files::reviews::{Label, Method, Review, escaped};
 
-/// Answer as a table.
+/// Name of the table format.
 const CSV: &str = "csv";
 
 /// The maintenance list.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Maintenance {
-    /// Loops that may need work, the costliest to leave first.
+    /// Loops that may need work, most costly to leave alone first.
     work: Vec<Work>,
-    /// Loops with a review, the newest first: their windows before and after it.
+    /// Reviewed loops, newest review first, with their windows before and after it.
     reviewed: Vec<Reviewed>,
     /// Items still being computed: ask again.
     pending: usize,
@@ -47,21 +47,21 @@ struct Reviewed {
     at_ms: f64,
     #[serde(skip)]
     at: Moment,
-    /// When the valve was repaired, ms since 1970; null where it was not.
+    /// When the valve was repaired, ms since 1970; null if it was not.
     work_at_ms: Option<f64>,
     #[serde(skip)]
     work_at: Option<Moment>,
     /// Who wrote it.
     by: String,
-    /// What was found.
+    /// The finding.
     label: Label,
-    /// How.
+    /// How it was established.
     method: Method,
-    /// In that person's words.
+    /// Comment in that person's words.
     note: Option<String>,
     /// What changed since the review; null while that is being computed.
     outcome: Option<Outcome>,
-    /// Whether all recordings of the time were read.
+    /// Whether all recordings of that time were read.
     complete: bool,
 }
 
@@ -85,7 +85,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
     }]
 }
 
-/// Whether a table is wanted.
+/// Whether the client asks for a table.
 fn wants_table(wanted: &Wanted, headers: &HeaderMap) -> Result<bool, ApiError> {
     match wanted.format.as_deref() {
         Some(CSV) => Ok(true),
@@ -95,7 +95,7 @@ fn wants_table(wanted: &Wanted, headers: &HeaderMap) -> Result<bool, ApiError> {
     }
 }
 
-/// The newest review of each loop, the newest first.
+/// The newest review of each loop, newest first.
 fn newest_reviews(all: Vec<Review>) -> Vec<Review> {
     let by_loop: HashMap<String, Review> = all.into_iter().map(|review| (review.r#loop.clone(), review)).collect();
     let mut newest: Vec<Review> = by_loop.into_values().collect();
@@ -181,7 +181,7 @@ fn figure(value: Option<f64>) -> String {
     value.map_or_else(String::new, number)
 }
 
-/// The cells of a loop to work on, up to the review.
+/// The cells of a loop to work on, without those of a review.
 fn cells_of(w: &Work) -> Vec<String> {
     let removed = |of: fn(&crate::runtime::maintenance::Removed) -> f64| figure(w.removed.as_ref().map(of));
     vec![
@@ -206,7 +206,7 @@ fn cells_of(w: &Work) -> Vec<String> {
     ]
 }
 
-/// The same of a loop that is only reviewed.
+/// The same for a loop that is only reviewed.
 fn cells_without_work(r: &Reviewed) -> Vec<String> {
     let mut cells = vec![String::new(); 18];
     cells[1].clone_from(&r.loop_name);
@@ -225,7 +225,7 @@ fn cells_of_review(r: &Reviewed) -> Vec<String> {
     [format_rfc3339(r.at.0)].into_iter().chain(figures).chain([words, work_at]).collect()
 }
 
-/// One line a loop: those to work on by rank, then those that are only reviewed. No cell is a formula.
+/// One line for each loop: those to work on by rank, then those that are only reviewed. No cell is read as a formula.
 fn table(answer: &Maintenance) -> Result<Vec<u8>, String> {
     let by_loop: HashMap<&str, &Reviewed> = answer.reviewed.iter().map(|r| (r.loop_name.as_str(), r)).collect();
     let listed = |r: &&Reviewed| !answer.work.iter().any(|w| w.loop_name == r.loop_name);

@@ -47,45 +47,45 @@ use stiction_files::reviews::Reviews;
 
 /// Largest body of a command, bytes.
 const MAX_BODY: usize = 16 << 10;
-/// How long the engine may take for an answer; a diagnosis takes longer.
+/// How long the engine may take to answer; a diagnosis takes longer.
 const ENGINE_WITHIN: Duration = Duration::from_secs(10);
-/// Threads that read recordings, that read or write the folder of reviews, that compute, and that draw, which takes seconds.
-/// Those that wait for a disk are apart from those that take a core from the fits: a folder may hang.
+/// Numbers of threads that read recordings, that access the folder of reviews, that compute, and that draw, which takes
+/// seconds. Waiting for disks is kept separate from computing: a folder may hang, and computing takes cores from the fits.
 const LOOKS_AT_ONCE: usize = 2;
 const REVIEWS_AT_ONCE: usize = 1;
 const COMPUTATIONS_AT_ONCE: usize = 2;
 const DRAWINGS_AT_ONCE: usize = 1;
-/// How long somebody waits for a disk, with those before, and for what takes a core.
+/// How long a client waits for a disk, its queue included, and for computations.
 const DISK_WITHIN: Duration = Duration::from_secs(30);
 const CORE_WITHIN: Duration = Duration::from_secs(55);
-/// Windows that the engine is asked for at a time, and requests that may wait for one beside the streams.
+/// Windows requested from the engine at a time, and requests that may wait for one, streams not counted.
 const WINDOWS_AT_ONCE: usize = 2;
 const WINDOWS_WAITING: usize = 8;
-/// Streams at a time, and how many of them one host may hold.
+/// Most streams at a time, and most of one host.
 const STREAMS: usize = 64;
 const STREAMS_PER_HOST: usize = 32;
 
-/// State that answers come from.
+/// The data from which requests are answered.
 pub struct Live {
-    /// Every loop as it is now.
+    /// The current state of every loop.
     pub overview: Overview,
-    /// Last documents as they were published.
+    /// The last published documents.
     pub last: LastValues,
-    /// The way to the engine.
+    /// Sends to the engine.
     pub control: Sender<Control>,
     /// The daemon's health.
     pub snapshot: HealthSnapshot,
-    /// What was recorded.
+    /// The recordings.
     pub archive: SharedArchive,
-    /// What people found.
+    /// The reviews by people.
     pub reviews: Reviews,
-    /// Who may do what.
+    /// The access rules.
     pub guard: Arc<Guard>,
     /// The configuration in force.
     pub config: CurrentConfig,
     /// When the daemon started, ns since 1970.
     pub started_ns: i64,
-    /// What to know of the data before anything else.
+    /// A note about the data, shown first.
     pub note: Option<&'static str>,
     worth: worth::Worth,
     review_rate: Mutex<Rate>,
@@ -99,9 +99,9 @@ pub struct Live {
     streams: Arc<Limits>,
 }
 
-/// A loop's window, as it was when somebody looked.
+/// A loop's window at the time of the request.
 struct Looked {
-    /// `None` where nothing is held, or no longer.
+    /// `None` if no samples are held.
     record: Option<Record>,
     settings: Arc<LoopSettings>,
 }
@@ -113,7 +113,7 @@ pub type Shared = Arc<Live>;
 pub type Answered<T> = Result<Json<T>, ApiError>;
 
 impl Live {
-    /// Answers from a view with these loops, under these rules.
+    /// Serves this view of the daemon and these loops, under these rules.
     #[must_use]
     pub fn new(view: View, overview: Overview, guard: Arc<Guard>) -> Self {
         let View { config, last, control, snapshot, note, .. } = view;
@@ -148,18 +148,18 @@ impl Live {
         }
     }
 
-    /// Whether commands are taken at all.
+    /// Whether commands are accepted at all.
     fn takes_commands(&self) -> bool {
         self.config.get().commands.enabled
     }
 
-    /// Whether one more review may be taken now.
+    /// Whether the rate allows one more review now.
     fn allow_review(&self) -> bool {
         let mut rate = self.review_rate.lock().unwrap_or_else(PoisonError::into_inner);
         rate.allow(self.started.elapsed().as_secs_f64())
     }
 
-    /// The last document of a loop as it was published.
+    /// A loop's last document as it was published.
     fn last_document(&self, loop_name: &str, kind: Kind) -> Option<serde_json::Value> {
         serde_json::from_slice(&self.last_bytes(loop_name, kind)?).ok()
     }
@@ -171,7 +171,7 @@ impl Live {
         Some(last.get(&key)?.document.clone())
     }
 
-    /// Refuses what another daemon has to be asked for.
+    /// Refuses a loop that another daemon serves.
     fn check_shard(&self, loop_name: &str) -> Result<(), ApiError> {
         if self.config.get().shard.owns(loop_name) {
             return Ok(());
@@ -180,15 +180,15 @@ impl Live {
         Err(ApiError::not_found(format!("{loop_name:?} {why}")))
     }
 
-    /// A loop's window for a request: refused where too many wait for one.
+    /// A loop's window for a request; refused if too many wait for one.
     async fn request_window(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
         let busy = |_| ApiError::busy("too many requests for windows wait already: try again in a moment");
         let _waiting = self.windows_waiting.try_acquire().map_err(busy)?;
         self.look(loop_name, end_ns).await
     }
 
-    /// The same for a stream, which waits for its turn: there are few. The engine hands out its history, and the window is
-    /// cut on a thread of the page's own.
+    /// The same for a stream, which waits for its turn, since streams are few. The engine hands out the history, and the window
+    /// is cut on one of the page's threads.
     async fn look(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
         let ending = |_| ApiError::busy("the daemon is stopping");
         let _place = self.windows.acquire().await.map_err(ending)?;
@@ -206,7 +206,7 @@ impl Live {
             .await
     }
 
-    /// A person's request, answered by a document or by what is wrong with it.
+    /// Sends a person's request to the engine; the answer is a document or the reason for refusal.
     async fn request(
         &self,
         patience: Duration,

@@ -1,4 +1,4 @@
-//! What keeps loops from being judged.
+//! Obstacles that keep loops from being judged.
 
 use std::time::Instant;
 

@@ -1,4 +1,4 @@
-//! What many windows of one valve say together.
+//! The result of many windows of one valve taken together.
 
 use axum::Json;
 use axum::extract::State;
@@ -12,24 +12,24 @@ use stiction::core::over_time::{Change, ChangeKind, Contradicting, Pooled, Trend
 use stiction::core::units::ms_from_ns;
 use stiction_files::archive::Reach;
 
-/// A valve over time; times in ms since 1970.
+/// A valve over time; all times in ms since 1970.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct OverTime {
-    /// Windows that gave an answer.
+    /// Number of windows with an answer.
     windows: usize,
-    /// Size since the last change.
+    /// Size of stiction since the last change.
     pooled: Option<Pooled>,
-    /// When the last change was.
+    /// Date of the last change.
     since_ms: Option<f64>,
     /// Changes, oldest first.
     changes: Vec<Changed>,
-    /// Windows that contradict their stretch, oldest first.
+    /// Windows that contradict the others of their segment, oldest first.
     contradicting: Vec<Contradicts>,
     /// Growth of s since the last change.
     trend: Option<Trend>,
     /// The same in words.
     sentences: Vec<String>,
-    /// Whether all recordings of the time were read; ask again where not.
+    /// Whether all recordings of the time were read; if not, ask again.
     complete: bool,
 }
 
@@ -38,27 +38,27 @@ struct OverTime {
 struct Changed {
     /// Most likely date.
     at_ms: f64,
-    /// Interval of the date.
+    /// Lower end of the date's interval.
     from_ms: f64,
-    /// See `from_ms`.
+    /// Upper end of the date's interval.
     to_ms: f64,
     kind: ChangeKind,
-    /// s before; null where no stiction was found.
+    /// s before the change; null where no stiction was found.
     s_before: Option<f64>,
-    /// s after.
+    /// s after the change.
     s_after: Option<f64>,
-    /// Share of histories without any change that show no step as clear as this one.
+    /// Fraction of histories without any change that show a step at least as clear.
     p: f64,
 }
 
-/// A window that contradicts its stretch.
+/// A window that contradicts the others of its segment.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Contradicts {
     /// The window's end.
     end_ms: f64,
     s: Option<f64>,
     s_interval: Option<[f64; 2]>,
-    /// Why, in words.
+    /// The contradiction in words.
     why: String,
 }
 

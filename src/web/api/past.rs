@@ -1,4 +1,4 @@
-//! A loop's past, from the recordings: curves, windows, changes of its alarm, what many windows say together.
+//! A loop's past, from the recordings: curves, windows, and changes of its alarm.
 
 use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
@@ -23,42 +23,42 @@ use stiction_engine::analysis::{Points, Section};
 use stiction_engine::codec::topic::{self, Kind};
 use stiction_files::archive::{Archive, Reach, Wanted};
 
-/// Points of a curve, if nobody says how many, and at most.
+/// Default number of points of a curve, and the most.
 const POINTS: usize = 2_000;
 const MOST_POINTS: usize = 20_000;
-/// How far before the newest sample is looked if nobody says.
+/// Default time before the newest sample.
 const PAST_S: f64 = 90.0 * 86_400.0;
-/// Windows and changes that are given, at most: the newest.
+/// Most windows and changes returned; the newest ones.
 const MOST_WINDOWS: usize = 5_000;
 
-/// Curves of a stretch of time.
+/// Curves over a period.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Trend {
     /// First stamp asked for, ms since 1970.
     from_ms: f64,
     /// Last stamp asked for, ms since 1970.
     to_ms: f64,
-    /// The curves, thinned to their extremes.
+    /// The curves, thinned with their extremes kept.
     #[serde(flatten)]
     curves: Curves,
-    /// Whether all recordings of the time were read; ask again where not.
+    /// Whether all recordings of the time were read; if not, ask again.
     complete: bool,
 }
 
-/// Windows of a stretch of time.
+/// Windows of a period.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct History {
-    /// First end of a window asked for, ms since 1970.
+    /// First window end asked for, ms since 1970.
     from_ms: f64,
-    /// Last one, ms since 1970.
+    /// Last window end asked for, ms since 1970.
     to_ms: f64,
-    /// Whether all recordings of the time were read; ask again where not.
+    /// Whether all recordings of the time were read; if not, ask again.
     complete: bool,
     /// Oldest first.
     windows: Vec<PastWindow>,
 }
 
-/// What is kept of a recorded estimate; fields as in `stictiond.estimate.v1`.
+/// The retained part of a recorded estimate; fields as in `stictiond.estimate.v1`.
 #[derive(Debug, Clone, Serialize, Deserialize, schemars::JsonSchema)]
 #[allow(missing_docs)] // defined in docs/read-a-result.md
 pub(super) struct PastWindow {
@@ -70,7 +70,7 @@ pub(super) struct PastWindow {
     #[schemars(skip)]
     window: Bounds,
     pub verdict: String,
-    /// What windows are taken together by.
+    /// The part by which windows are taken together.
     #[serde(flatten)]
     #[schemars(skip)]
     pub result: WindowResult,
@@ -100,13 +100,13 @@ struct Cycle {
 /// Changes of an alarm.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Changes {
-    /// Whether all recordings of the time were read; ask again where not.
+    /// Whether all recordings of the time were read; if not, ask again.
     complete: bool,
     /// `stictiond.alarm.v2`, newest first.
     changes: Vec<Value>,
 }
 
-/// A stretch of time, and how many points of it.
+/// A period, and the number of points.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Range {
@@ -157,13 +157,13 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 }
 
 impl Range {
-    /// First and last stamp of a loop.
+    /// First and last stamp for a loop.
     pub(super) fn ns(&self, live: &Shared, name: &str) -> Result<[i64; 2], ApiError> {
         self.with_newest(live.overview.newest(name).and_then(|n| n.newest_ns), now_ns())
     }
 
-    /// First and last stamp. Plants whose clock is ahead, and those that are simulated, have a past beyond now; recordings that
-    /// are played have one long before it.
+    /// First and last stamp. Plants with a clock ahead of ours, and simulated ones, have samples later than now; played
+    /// recordings have samples long before now.
     fn with_newest(&self, newest_ns: Option<i64>, now_ns: i64) -> Result<[i64; 2], ApiError> {
         let to = self.to_ms.map_or(now_ns.max(newest_ns.unwrap_or(i64::MIN)), ns_from_ms);
         let end = newest_ns.map_or(to, |newest_ns| newest_ns.min(to));
@@ -205,8 +205,8 @@ async fn trend(
     Ok(Json(Trend { from_ms: ms_from_ns(from_ns), to_ms: ms_from_ns(to_ns), curves, complete }))
 }
 
-/// Documents of one kind in the recordings, oldest first, the newest of them where there are too many. What is at hand
-/// counts too: a recording shows its last seconds only once they are written out.
+/// Documents of one kind in the recordings, oldest first; the newest of them if there are too many. Includes the current one,
+/// since recordings lack the last few seconds until they are flushed.
 fn documents<T>(
     archive: &Archive,
     topic: String,
@@ -238,7 +238,7 @@ pub(super) fn windows(live: &Live, name: &str, range_ns: [i64; 2]) -> (Vec<PastW
         window.period_s = window.oscillation.period_s;
         Some((end_ns, window))
     });
-    // A window may be in the file that ended and in the one that followed.
+    // A window may be in the file that ended and again in the next one.
     all.dedup_by_key(|w| w.window.end_ns);
     (all, reach)
 }
@@ -273,7 +273,7 @@ async fn changes(
         })
         .await?;
     changes.reverse();
-    // A restart tells an alarm again without any change.
+    // After a restart alarms are published again without a change.
     changes.retain(|document| document.get("event").and_then(Value::as_str) != Some("restored"));
     Ok(Json(Changes { complete: reach == Reach::All, changes }))
 }

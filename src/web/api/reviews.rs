@@ -1,4 +1,4 @@
-//! What people found at valves, kept beside the recordings.
+//! Reviews of valves by people, stored in the folder of the recordings.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,11 +20,11 @@ use stiction::core::units::{Moment, ms_from_ns};
 use stiction_engine::alarm::check_name;
 use stiction_files::reviews::{KeepError, Label, Method, Review, ReviewList};
 
-/// How long a list of alarms waits for reviews.
+/// How long a list of alarms waits for the reviews.
 const SOON: Duration = Duration::from_secs(1);
-/// Longest explanation, bytes.
+/// Longest comment, bytes.
 const MAX_WHY: usize = 500;
-/// Reviews that are taken a minute, and at once.
+/// Reviews accepted a minute, and in one burst.
 pub(super) const PER_MINUTE: f64 = 30.0;
 pub(super) const AT_ONCE: f64 = 10.0;
 
@@ -35,44 +35,44 @@ struct All {
     reviews: Vec<DatedReview>,
 }
 
-/// A review with its time as the page counts it.
+/// A review with its times in ms, as the page uses them.
 #[derive(Serialize, schemars::JsonSchema)]
 pub(super) struct DatedReview {
     #[serde(flatten)]
     review: Review,
-    /// When it was said, ms since 1970.
+    /// When it was written, ms since 1970.
     at_ms: f64,
-    /// End of the window that was judged, ms since 1970.
+    /// End of the reviewed window, ms since 1970.
     window_end_ms: f64,
-    /// When the valve was repaired, ms since 1970; null where it was not.
+    /// When the valve was repaired, ms since 1970; null if it was not.
     work_at_ms: Option<f64>,
 }
 
-/// The review that was kept.
+/// The stored review.
 #[derive(Serialize, schemars::JsonSchema)]
 struct Kept {
     review: DatedReview,
 }
 
-/// What somebody found.
+/// A person's finding.
 #[derive(Debug, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct NewReview {
     /// Whether the valve sticks.
     label: Label,
-    /// How that was found out.
+    /// How that was established.
     method: Method,
-    /// Who says so.
+    /// Name of the person.
     by: String,
-    /// In that person's words.
+    /// Comment in that person's words.
     why: Option<String>,
-    /// When the valve was repaired, RFC 3339, by the clock of its data; needed for `repaired`, and for nothing else.
+    /// When the valve was repaired, RFC 3339, by the clock of its data; required for `repaired`, and not allowed otherwise.
     #[schemars(with = "Option<String>")]
     work_at: Option<Moment>,
 }
 
 impl NewReview {
-    /// Refuses a date where there was no work, none where there was, and one that is still to come.
+    /// Refuses a date without work, work without a date, and a date in the future.
     fn check_date(&self, newest_ns: i64) -> Result<(), ApiError> {
         match self.work_at {
             None if self.label == Label::Repaired => {
@@ -124,15 +124,15 @@ impl From<Review> for DatedReview {
     }
 }
 
-/// The reviews as their folder has them now.
+/// The reviews now in the folder.
 pub(super) async fn current(live: &Shared) -> Result<Arc<ReviewList>, ApiError> {
     let of = live.clone();
     let read = live.at_reviews.run(move || of.reviews.read()).await?;
     read.map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))
 }
 
-/// The same, or as they were read last where the folder does not answer soon, for what must not wait for it. A damaged
-/// index is told where reviews are asked for.
+/// The same, or as last read if the folder does not respond soon, for requests that must not wait for it. A damaged index is
+/// reported where reviews are requested.
 pub(super) async fn newest_known(live: &Shared) -> Arc<ReviewList> {
     match tokio::time::timeout(SOON, current(live)).await {
         Ok(Ok(list)) => list,

@@ -1,4 +1,4 @@
-//! The site and the daemon that serves it.
+//! The site, and the daemon or workbench that serves it.
 
 use axum::extract::State;
 use axum::http::HeaderMap;
@@ -14,20 +14,20 @@ use crate::web::guard::Permission;
 use crate::web::server::Peer;
 use stiction::core::units::ms_from_ns;
 
-/// What is served.
+/// The kind of server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SiteKind {
     /// A running daemon.
     Daemon,
-    /// Files, without a daemon.
+    /// A workbench for files, without a daemon.
     Workbench,
 }
 
-/// What is known before any loop is looked at.
+/// General data, needed before those of any loop.
 #[derive(Debug, Clone, Serialize, schemars::JsonSchema)]
 pub struct Site {
-    /// What is served.
+    /// The kind of server.
     pub kind: SiteKind,
     /// First chunks of every key.
     pub prefix: String,
@@ -37,36 +37,36 @@ pub struct Site {
     pub version: &'static str,
     /// Hash of the configuration.
     pub config_hash: String,
-    /// Zone of the times to show.
+    /// Time zone for displayed times.
     pub time_zone: String,
     /// The daemon's clock, ms since 1970.
     pub now_ms: f64,
     /// When it started, ms since 1970.
     pub started_ms: f64,
-    /// What to know of the data before anything else, in words; null where there is nothing.
+    /// A note about the data that is shown first; null if there is none.
     pub note: Option<&'static str>,
-    /// Whether commands are taken at all.
+    /// Whether commands are accepted at all.
     pub commands: bool,
-    /// Whether who asks may send them.
+    /// Whether this client may send them.
     pub token: Permission,
     /// Whether files can be opened here.
     pub workbench: bool,
-    /// Where they can be opened, as the configuration says it; null where it says nothing.
+    /// Address where files can be opened, from the configuration; null if it has none.
     pub workbench_url: Option<String>,
     /// Loops that have appeared.
     pub loops: usize,
-    /// What a person should look at.
+    /// Problems that a person should look at.
     pub faults: Vec<String>,
-    /// What was lost, by counter.
+    /// Losses, by counter.
     pub loss: Loss,
     /// Health of the loops' data.
     pub data: DataHealth,
 }
 
-/// Counters of what was lost; zero on a machine that keeps up.
+/// Counters of losses; zero on a machine that keeps up.
 #[derive(Debug, Clone, Copy, Default, Serialize, schemars::JsonSchema)]
 pub struct Loss {
-    /// Messages that came faster than they could be taken.
+    /// Messages that arrived faster than they could be processed.
     pub dropped_input: u64,
     /// Windows without a fit.
     pub fits_skipped: u64,
@@ -93,7 +93,7 @@ async fn site(State(live): State<Shared>, Extension(peer): Extension<Peer>, head
     Json(site_of(&live, token))
 }
 
-/// The site as it is now.
+/// The current state of the site.
 pub(super) fn site_of(live: &Shared, token: Permission) -> Site {
     let now = now_ns();
     let health = live.snapshot.read().unwrap_or_else(PoisonError::into_inner).1.clone();

@@ -1,4 +1,4 @@
-//! Threads for work that waits for a disk or takes long: no thread that answers requests does either.
+//! Threads for work that waits for a disk or takes long, so that the threads that answer requests do neither.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use tokio::sync::Semaphore;
 
 use super::ApiError;
 
-/// How many may wait for one kind of work.
+/// How many requests may wait for one kind of work.
 const WAITING: usize = 64;
 
 /// Threads for one kind of work.
@@ -19,13 +19,13 @@ pub(super) struct Threads {
 }
 
 impl Threads {
-    /// So many threads, and how long somebody waits for an answer with those before.
+    /// This many threads; a request waits at most for `patience`, its time in the queue included.
     pub fn new(number: usize, patience: Duration) -> Self {
         Self { places: Arc::new(Semaphore::new(number)), waiting: Semaphore::new(WAITING), patience }
     }
 
-    /// Works on one of these threads once it is free. Who has waited for too long, or waits no longer, leaves the thread to
-    /// its work: its place is free only when that has ended.
+    /// Runs `work` on one of these threads once it is free. If the caller gives up, the thread is occupied until the work has
+    /// ended.
     pub async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
         let busy = || ApiError::busy("too many wait for pictures and recordings already: try again in a moment");
         let failed = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "the request failed; see the daemon's log");

@@ -1,4 +1,4 @@
-//! A loop's window: its curves with the last fit run over them, pictures of it, itself as a file.
+//! A loop's window: its curves with the last fit, its pictures, and the window as a file.
 
 use std::sync::Arc;
 
@@ -29,24 +29,24 @@ use stiction_files::LoadedLoop;
 use stiction_files::csv;
 use stiction_files::transfer::loops_as_recording;
 
-/// Points of a watched loop that are sent at first.
+/// Points sent at first for a watched loop.
 const FIRST_POINTS: usize = 100;
 
-/// A loop's window as it is now.
+/// A loop's current window.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Window {
     /// Mean sampling time, s.
     ts_s: f64,
-    /// Samples in a point (1: as they came; else PV's mean and the middle of OP's extremes).
+    /// Samples in a point. If 1, points are the samples; otherwise PV's mean and the midpoint of OP's extremes.
     box_samples: usize,
     /// Its curves.
     #[serde(flatten)]
     curves: Curves,
-    /// Valve position as measured, if it is.
+    /// Measured valve position, if there is one.
     mv: Option<Vec<Option<f64>>>,
-    /// Valve position by the last fit, OP units.
+    /// Valve position of the last fit, OP units.
     valve: Option<Vec<Option<f64>>>,
-    /// PV by the last fit, which never sees PV on the way.
+    /// PV simulated by the last fit from OP alone, without measured PV.
     pv_fit: Option<Vec<Option<f64>>>,
     /// Dead time of the last fit, points.
     lag_points: Option<f64>,
@@ -55,20 +55,20 @@ struct Window {
 /// Pictures of the newest window.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 struct Pictures {
-    /// One after the other.
+    /// In display order.
     pictures: Vec<Drawn>,
 }
 
 /// One picture.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
 pub struct Drawn {
-    /// Its name among them.
+    /// Its name within the list.
     pub id: String,
     /// What it shows.
     pub title: String,
     /// How to read it.
     pub caption: String,
-    /// Whether it takes the whole width.
+    /// Whether it needs the whole width of the page.
     pub wide: bool,
     /// The picture, SVG.
     pub svg: String,
@@ -133,7 +133,7 @@ fn curves(record: &Record) -> Curves {
     }
 }
 
-/// A window's curves behind a stamp, and its newest stamp, ns; its last ones where the stamp lies before them all.
+/// The part of a window's curves after a stamp, and the newest stamp, ns; the last points if the stamp is before the window.
 pub(super) fn curves_after(record: &Record, after_ns: i64) -> Option<(Curves, i64)> {
     let point_ns = ns_from_s(record.point_s());
     let newest_ns = record.start_ns.saturating_add((record.len() as i64 - 1).saturating_mul(point_ns));
@@ -159,7 +159,7 @@ pub(super) fn curves_after(record: &Record, after_ns: i64) -> Option<(Curves, i6
 
 async fn window(State(live): State<Shared>, PathName(name): PathName) -> Answered<Window> {
     let looked = live.request_window(&name, None).await?;
-    // A loop of which nothing is held yet has an empty window.
+    // A loop without samples has an empty window.
     let record = looked.record.unwrap_or_else(|| Record::uniform(1.0, Vec::new(), Vec::new()));
     let estimate = live.overview.newest(&name).and_then(|newest| newest.estimate);
     let settings = looked.settings;
@@ -186,7 +186,7 @@ fn window_of(record: &Record, estimate: Option<&EstimateDocument>, settings: &Lo
     }
 }
 
-/// The newest estimate with the record that it was made from.
+/// The newest estimate with the record that it was computed from.
 struct Estimated {
     document: Arc<EstimateDocument>,
     record: Record,
@@ -202,7 +202,7 @@ impl Live {
         let looked = self.request_window(name, Some(document.assessment.window.end_ns)).await?;
         let window = &document.assessment.window;
         let middle_ns = window.start_ns.midpoint(window.end_ns);
-        // After a data gap, or where a past comes at once, the history no longer reaches back to the estimate.
+        // After a data gap, or when history is played fast, the engine's history no longer reaches back to the estimate.
         let record = match looked.record.filter(|record| record.start_ns <= middle_ns) {
             Some(record) => record,
             None => self.recorded_window(name, window, looked.settings.window.max_points).await?,
@@ -266,7 +266,7 @@ async fn pictures(State(live): State<Shared>, PathName(name): PathName) -> Answe
     Ok(Json(Pictures { pictures: figures.iter().enumerate().map(drawing).collect() }))
 }
 
-/// A figure as the page takes it.
+/// A figure in the form that the page expects.
 #[must_use]
 pub fn drawing((k, figure): (usize, &Figure)) -> Drawn {
     Drawn {
@@ -282,7 +282,7 @@ async fn buys(State(live): State<Shared>, PathName(name): PathName) -> Answered<
     simulated(&live, &name).await?.map(Json).map_err(|why| ApiError::unfit(why.to_string()))
 }
 
-/// Simulates the repair of a loop by its newest estimate.
+/// Simulates the repair of a loop from its newest estimate.
 pub(super) async fn simulated(live: &Shared, name: &str) -> Result<Result<Repair, NoRepair>, ApiError> {
     let Estimated { document, record, settings } = live.estimated(name).await?;
     let params = RepairParams { op_range: settings.assess.op_range, ..RepairParams::default() };
@@ -306,7 +306,7 @@ async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<R
         })
         .await?;
     let html = made.map_err(|error| ApiError::unfit(format!("a picture cannot be drawn: {error}")))?;
-    // The page carries its styles and its script within itself, and its own policy admits nothing else.
+    // The page carries its styles and script inline, and its policy admits nothing else.
     let rule = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'none'";
     let headers = [(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::CONTENT_SECURITY_POLICY, rule)];
     Ok((headers, html).into_response())

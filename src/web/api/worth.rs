@@ -1,5 +1,5 @@
-//! Results for the maintenance list that are computed one at a time, apart from its requests: simulated repairs, and comparisons
-//! of a valve before and after work. Each is kept until its loop has newer windows.
+//! Results for the maintenance list that are computed one at a time, apart from its requests: simulated repairs, and
+//! comparisons of a valve before and after work. Each is kept until its loop has newer windows.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,29 +21,29 @@ use stiction_engine::analysis::{Points, Section};
 use stiction_files::archive::Reach;
 use stiction_files::reviews::{Label, Review};
 
-/// Reviewed loops that are compared: those with the newest reviews.
+/// Reviewed loops that are compared; those with the newest reviews.
 pub(super) const COMPARED: usize = 20;
-/// Time before and after a review that is compared, and windows of it on each side.
+/// Time compared before and after a review, and most windows on each side.
 const STRETCH_S: f64 = 14.0 * 86_400.0;
 const WINDOWS: usize = 12;
-/// A comparison is made again once its loop has windows so much newer.
+/// A comparison is repeated once its loop has windows newer by this much.
 const AGAIN_S: f64 = 3600.0;
 
-/// Results so far.
+/// Results computed so far.
 pub(super) struct Worth {
     known: Mutex<Known>,
-    /// Held while something is computed.
+    /// Held during a computation.
     busy: Arc<Semaphore>,
 }
 
 #[derive(Default)]
 struct Known {
-    /// By loop: the end of the window, and what its repair brings.
+    /// By loop: the end of the window, and the benefit of its repair.
     benefits: HashMap<String, (i64, Benefit)>,
     outcomes: HashMap<String, Compared>,
 }
 
-/// A comparison.
+/// A finished comparison.
 #[derive(Clone)]
 pub(super) struct Compared {
     /// When the review was written, ns since 1970.
@@ -55,7 +55,7 @@ pub(super) struct Compared {
     pub complete: bool,
 }
 
-/// What remains to be computed.
+/// A result to be computed.
 enum Task {
     Repair(String, i64),
     Compare(Review, i64),
@@ -73,7 +73,8 @@ impl Worth {
     }
 }
 
-/// The list as far as it is known, the comparisons of these reviews, and how much remains to be computed, which begins now.
+/// The list as far as it is computed, the comparisons for these reviews, and the number of results still to be computed, which
+/// is now started.
 pub(super) fn look(live: &Shared, reviews: &[Review]) -> (Vec<Work>, Vec<Option<Compared>>, usize) {
     let candidates = live.overview.candidates();
     let names: HashSet<&str> = candidates.iter().map(|c| c.name.as_str()).collect();
@@ -94,7 +95,7 @@ pub(super) fn look(live: &Shared, reviews: &[Review]) -> (Vec<Work>, Vec<Option<
     (work, outcomes, pending)
 }
 
-/// Repairs of the loops at the head of the list that were not simulated for their newest window.
+/// Loops at the top of the list whose repair was not simulated for their newest window.
 fn repairs(candidates: &[Candidate], work: &[Work], known: &Known) -> Vec<Task> {
     let by_name: HashMap<&str, &Candidate> = candidates.iter().map(|c| (c.name.as_str(), c)).collect();
     let task = |work: &Work| {
@@ -114,7 +115,7 @@ fn comparison(live: &Shared, review: &Review, known: &Known) -> Option<Task> {
     (!done).then(|| Task::Compare(review.clone(), newest_ns))
 }
 
-/// Computes one after the other, unless that is under way.
+/// Computes the tasks one after another, unless a computation is under way.
 fn begin(live: &Shared, tasks: Vec<Task>) {
     if tasks.is_empty() {
         return;
@@ -141,7 +142,7 @@ fn begin(live: &Shared, tasks: Vec<Task>) {
     });
 }
 
-/// Benefit of a repair of a loop; `None` where that may be tried again.
+/// Benefit of a loop's repair; `None` if it failed and may be tried again.
 async fn benefit(live: &Shared, name: &str) -> Option<Benefit> {
     match simulated(live, name).await {
         Ok(Ok(repair)) => Some(Ok(Removed::from(&repair))),
@@ -151,7 +152,7 @@ async fn benefit(live: &Shared, name: &str) -> Option<Benefit> {
     }
 }
 
-/// The last windows with an answer that end before a date, and the last that start after it.
+/// The last windows with an answer that end before a date, and the last ones that start after it.
 fn sides(all: &[WindowResult], date_ns: i64) -> [Vec<&WindowResult>; 2] {
     let last = |is_of: &dyn Fn(&WindowResult) -> bool| {
         let side: Vec<&WindowResult> = all.iter().filter(|w| w.stiction.is_some() && is_of(w)).collect();
@@ -160,8 +161,8 @@ fn sides(all: &[WindowResult], date_ns: i64) -> [Vec<&WindowResult>; 2] {
     [last(&|w| w.end_ns <= date_ns), last(&|w| w.start_ns >= date_ns)]
 }
 
-/// Compares around the date of the work, or else around the window that was reviewed: the data's clock may differ from that
-/// of whoever wrote the review.
+/// Compares around the date of the work, or without one around the reviewed window: the clock of the data may differ from that
+/// of the reviewer.
 fn compared(live: &Shared, review: &Review, newest_ns: i64) -> Compared {
     let (date_ns, stretch_ns) = (review.work_at.unwrap_or(review.window_end).0, ns_from_s(STRETCH_S));
     let range_ns = [date_ns.saturating_sub(stretch_ns), date_ns.saturating_add(stretch_ns)];
@@ -178,7 +179,7 @@ fn compared(live: &Shared, review: &Review, newest_ns: i64) -> Compared {
     Compared { at_ns: review.at.0, newest_ns, outcome, complete: reach == Reach::All }
 }
 
-/// Meaning of the date of a review with this label.
+/// What was done at the date of a review with this label.
 const fn done(label: Label) -> Done {
     match label {
         Label::Stiction => Done::Found,

@@ -16,8 +16,7 @@ use crate::web::server::{self, CONNECTIONS_PER_HOST, Limits, MAX_CONNECTIONS, Pe
 use crate::web::{guarded, openapi, page};
 use stiction::core::units::ms_from_ns;
 
-/// Serves the page until it is dropped. Files are opened and analysed from this machine alone. Times are shown in
-/// `time_zone`.
+/// Serves the page until it is dropped. Only this machine may open and analyse files. Times are shown in `time_zone`.
 pub async fn serve(listener: TcpListener, bench: Bench, time_zone: String) {
     let guard = Arc::new(Guard::new(Vec::new(), None, false));
     let started_ns = now_ns();
@@ -31,7 +30,7 @@ pub async fn serve(listener: TcpListener, bench: Bench, time_zone: String) {
     server::accept(listener, guarded(page(api, openapi::document(&operations())), guard), limits).await;
 }
 
-/// As a daemon without loops would say it.
+/// The site, as a daemon without loops would report it.
 fn site(token: Permission, started_ns: i64, time_zone: &str) -> Site {
     Site {
         kind: SiteKind::Workbench,

@@ -1,4 +1,4 @@
-//! Everything that can be chosen, with its default and its words.
+//! The options of a job, with defaults and descriptions.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -13,36 +13,36 @@ use stiction::core::optim;
 use stiction::core::verdict::prevalence::{PREVALENCE, SHARES};
 use stiction_engine::analysis::MIN_SAMPLES;
 
-/// One of several.
+/// One of several values.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Choice {
-    /// As requests write it.
+    /// Its name in requests.
     pub id: String,
-    /// What it is.
+    /// Its description.
     pub words: String,
-    /// Where it acts, of an effect.
+    /// For an effect, the part of the loop where it acts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stage: Option<&'static str>,
-    /// Whether it is taken where nothing is said.
+    /// Whether it is the default.
     pub default: bool,
 }
 
-/// A number between bounds.
+/// A number within bounds.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Number {
-    /// Smallest.
+    /// Smallest value.
     pub min: f64,
-    /// Largest.
+    /// Largest value.
     pub max: f64,
-    /// Where nothing is said; `None` for the program's own choice.
+    /// Default; `None` if the program chooses.
     pub default: Option<f64>,
     /// Its unit, empty for a count.
     pub unit: &'static str,
-    /// What it is.
+    /// Its description.
     pub words: &'static str,
 }
 
-/// What can be chosen.
+/// All options.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Choices {
     models: Vec<Choice>,
@@ -59,10 +59,10 @@ pub struct Choices {
     budget_s: Number,
     seed: u64,
     gap_seed: u64,
-    /// Fewest samples of a section, and most sections of a job.
+    /// Fewest samples of a section, and most sections in a job.
     min_samples: usize,
     max_sections: usize,
-    /// Options for reading a file that is uploaded.
+    /// Options for reading an uploaded file.
     reading: [&'static str; 8],
     /// Largest upload, bytes.
     max_file_bytes: u64,
@@ -78,7 +78,7 @@ fn choices(all: &[(&str, &str)]) -> Vec<Choice> {
     all.iter().enumerate().map(one).collect()
 }
 
-/// Every choice; the first of a list is its default.
+/// All options; the first in a list is the default.
 #[must_use]
 pub fn all(max_file_bytes: u64) -> Choices {
     let solvers = [

@@ -8,54 +8,54 @@ use super::jobs::{Drawn, Job, MapNumbers, Progress, Said, SectionResult, State};
 use super::request::Request;
 use crate::web::table::BASE;
 
-/// The jobs so far, oldest first.
+/// All jobs, oldest first.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct JobList {
-    /// With their results.
+    /// The jobs with their results.
     pub jobs: Vec<JobDocument>,
 }
 
-/// A job as documents tell it.
+/// A job as JSON.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct JobDocument {
-    /// Its name in addresses.
+    /// Its name in URLs.
     id: String,
-    /// How it stands.
+    /// Its state.
     state: State,
-    /// What was asked.
+    /// The request.
     request: Request,
     /// Run time, ms.
     elapsed_ms: f64,
-    /// How far it is.
+    /// Its progress.
     progress: Progress,
-    /// How many results there are, and how many have pictures.
+    /// Number of results, and of those with pictures.
     finished: [usize; 2],
     /// The results so far; absent in events.
     #[serde(skip_serializing_if = "Option::is_none")]
     results: Option<Vec<ResultDocument>>,
     /// Why it failed.
     error: Option<String>,
-    /// The command lines that give the same, one a line.
+    /// Equivalent command lines, one a line.
     command: String,
 }
 
-/// A result as documents tell it.
+/// A result as JSON.
 #[derive(Debug, Serialize, JsonSchema)]
 struct ResultDocument {
-    /// The section in words, empty for the whole record.
+    /// The section in words; empty for the whole record.
     section: String,
     /// The run, such as `fopdt`; null for a gap.
     model: Option<&'static str>,
-    /// The document as the command prints it; null where there is no answer.
+    /// The document as the command prints it; null if there is no answer.
     document: Value,
     /// The text as the command prints it.
     text: String,
-    /// What to know at a glance.
+    /// The most important facts.
     words: Vec<Said>,
-    /// What a person should know of the section, and why there is no answer.
+    /// Notes on the section, and why there is no answer.
     notes: Vec<String>,
     pictures: Vec<PictureDocument>,
-    /// What its error maps say in numbers; empty until the pictures are there.
+    /// The numbers of its error maps; empty until the pictures are drawn.
     maps: Vec<MapNumbers>,
     report_url: Option<String>,
     predictions_url: Option<String>,
@@ -65,12 +65,12 @@ struct ResultDocument {
 struct PictureDocument {
     #[serde(flatten)]
     drawn: Drawn,
-    /// Below the API's root.
+    /// Path below the API's root.
     url: String,
 }
 
 impl JobDocument {
-    /// A job as it stands; without its results where `short`.
+    /// The current state of a job; without its results if `short`.
     #[must_use]
     pub fn of(job: &Job, short: bool) -> Self {
         let made = job.now();
@@ -108,7 +108,7 @@ impl JobDocument {
         }
     }
 
-    /// Whether nothing more comes.
+    /// Whether the job is finished.
     #[must_use]
     pub const fn over(&self) -> bool {
         self.state.over()

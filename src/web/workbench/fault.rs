@@ -1,11 +1,11 @@
-//! The answer to a request that cannot be done: a status and a sentence with the remedy.
+//! The answer to a request that cannot be carried out: a status, and a sentence with the remedy.
 
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 
 use crate::web::error::ApiError;
 
-/// Why a request is not done.
+/// Why a request was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{text}")]
 pub struct Fault {
@@ -23,12 +23,12 @@ impl Fault {
         Self::of(StatusCode::NOT_FOUND, text)
     }
 
-    /// 422: what was sent cannot be used.
+    /// 422: the content cannot be used.
     pub fn wrong(text: impl Into<String>) -> Self {
         Self::of(StatusCode::UNPROCESSABLE_ENTITY, text)
     }
 
-    /// 409: not in this state.
+    /// 409: not possible in this state.
     pub fn conflict(text: impl Into<String>) -> Self {
         Self::of(StatusCode::CONFLICT, text)
     }
@@ -48,12 +48,12 @@ impl Fault {
         Self::of(StatusCode::TOO_MANY_REQUESTS, text)
     }
 
-    /// 500: our own disk or threads.
+    /// 500: a fault of our disk or threads.
     pub fn own(text: impl Into<String>) -> Self {
         Self::of(StatusCode::INTERNAL_SERVER_ERROR, text)
     }
 
-    /// The sentence.
+    /// The explanation.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text

@@ -1,4 +1,4 @@
-//! The queue of jobs: bounded, with a few threads, progress and cancelling; the last results are kept.
+//! The queue of jobs: bounded, with a few threads, progress and cancellation. Recent results are kept.
 
 use std::collections::VecDeque;
 use std::panic::AssertUnwindSafe;
@@ -16,12 +16,12 @@ use super::request::Task;
 use crate::runtime::cores::{Watch, cores};
 use stiction_engine::analysis::predictions::Row;
 
-/// Jobs that may wait.
+/// Most jobs that may wait.
 const WAITING: usize = 16;
-/// Jobs that are kept, with their results.
+/// Most jobs kept with their results.
 const KEPT: usize = 48;
 
-/// How a job stands.
+/// State of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 #[allow(missing_docs)] // the names say it
@@ -34,36 +34,36 @@ pub enum State {
 }
 
 impl State {
-    /// Whether nothing more comes.
+    /// Whether the job has ended.
     #[must_use]
     pub const fn over(self) -> bool {
         matches!(self, Self::Done | Self::Failed | Self::Cancelled)
     }
 }
 
-/// How far a job is.
+/// Progress of a job.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
 pub struct Progress {
-    /// Steps that are done, with the share of the one under way.
+    /// Finished steps, plus the finished fraction of the current one.
     pub done: f64,
-    /// Steps in all.
+    /// Total number of steps.
     pub of: Option<f64>,
-    /// What is under way.
+    /// The current step.
     pub words: String,
 }
 
 /// A picture of a result.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Drawn {
-    /// Its name in addresses, of the job's own pictures.
+    /// Its name in URLs, unique within the job.
     pub id: String,
-    /// What it is.
+    /// Its title.
     pub title: String,
     /// What it shows and how to read it.
     pub caption: String,
     /// Whether it takes the page's whole width.
     pub wide: bool,
-    /// Order of the model that was asked for, where one was.
+    /// Order of the requested model, if one was requested.
     pub order: Option<u8>,
     /// A mark of what it shows: pictures with the same mark are alike.
     pub content: String,
@@ -73,25 +73,25 @@ pub struct Drawn {
 }
 
 impl Drawn {
-    /// The SVG as a separate file: inside a page the element needs no name space.
+    /// The SVG as a separate file, which needs a namespace; inside a page it does not.
     #[must_use]
     pub fn standing_alone(&self) -> String {
         self.svg.replacen("<svg ", "<svg xmlns=\"http://www.w3.org/2000/svg\" ", 1)
     }
 }
 
-/// An error map in numbers, OP units.
+/// Numbers of an error map, OP units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct MapNumbers {
     /// Order of the process.
     pub order: u8,
     /// OP's span, the upper limit of `fs + fd`.
     pub s0: f64,
-    /// Least and largest fs of the suggested region.
+    /// Smallest and largest fs of the suggested region.
     pub fs: [f64; 2],
-    /// The same of fd.
+    /// The same for fd.
     pub fd: [f64; 2],
-    /// fs and fd of the cell of least error.
+    /// fs and fd of the cell with the smallest error.
     pub least: [f64; 2],
     /// Root mean squared error of that cell, PV units.
     pub least_rms: Option<f64>,
@@ -108,35 +108,35 @@ pub struct SectionResult {
     pub document: Value,
     /// The text as the command prints it.
     pub text: String,
-    /// What to know at a glance: sentences.
+    /// The most important facts, as sentences.
     pub words: Vec<Said>,
-    /// What a person should know of the section.
+    /// Notes on the section.
     pub notes: Vec<String>,
     /// Its pictures.
     pub pictures: Vec<Drawn>,
-    /// What its error maps say in numbers.
+    /// The numbers of its error maps.
     pub maps: Vec<MapNumbers>,
-    /// Which of the job's reports shows it.
+    /// Index of the job's report that shows it.
     pub report: Option<usize>,
-    /// Measured PV and free runs, of a gap.
+    /// For a gap: measured PV and free runs.
     pub predictions: Option<Arc<Vec<Row>>>,
 }
 
-/// One thing in plain words.
+/// One fact in plain words.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Said {
-    /// What it is about, such as `Size`.
+    /// Its subject, such as `Size`.
     pub about: &'static str,
     /// The sentence.
     pub text: String,
 }
 
-/// Results of a job.
+/// State and results of a job.
 #[derive(Debug, Clone)]
 pub struct Made {
-    /// How it stands.
+    /// Its state.
     pub state: State,
-    /// How far it is.
+    /// Its progress.
     pub progress: Progress,
     /// Results so far.
     pub results: Vec<SectionResult>,
@@ -150,11 +150,11 @@ pub struct Made {
 
 /// A job.
 pub struct Job {
-    /// Its name in addresses.
+    /// Its name in URLs.
     pub id: String,
-    /// What is asked.
+    /// The checked request.
     pub task: Task,
-    /// The command lines that give the same, one a run.
+    /// Equivalent command lines, one for each run.
     pub command: Vec<String>,
     cancel: AtomicBool,
     made: Mutex<Made>,
@@ -166,7 +166,7 @@ impl Job {
         self.made.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How it stands now.
+    /// Its current state.
     #[must_use]
     pub fn now(&self) -> Made {
         let mut made = self.made().clone();
@@ -176,13 +176,13 @@ impl Job {
         made
     }
 
-    /// Told of every change.
+    /// A receiver that is notified of every change.
     #[must_use]
     pub fn listen(&self) -> watch::Receiver<u64> {
         self.changed.subscribe()
     }
 
-    /// Changes what is known, unless it is over.
+    /// Changes the state, unless the job has ended.
     pub fn change(&self, how: impl FnOnce(&mut Made)) {
         {
             let mut made = self.made();
@@ -197,7 +197,7 @@ impl Job {
         self.changed.send_modify(|count| *count += 1);
     }
 
-    /// Ends it: at once for whoever waits; its thread notices at its next step.
+    /// Cancels it: at once for those who wait; its thread notices at the next step.
     fn cancel(&self) {
         self.cancel.store(true, Ordering::Relaxed);
         self.change(|made| {
@@ -206,7 +206,7 @@ impl Job {
         });
     }
 
-    /// Whether somebody wants it to end.
+    /// Whether it was cancelled.
     #[must_use]
     pub fn cancelled(&self) -> bool {
         self.cancel.load(Ordering::Relaxed)
@@ -221,11 +221,11 @@ impl Made {
     }
 }
 
-/// One step of a job under way: hears what is done of it.
+/// A step of a running job; reports its progress.
 pub struct Step<'j> {
     /// The job.
     pub job: &'j Job,
-    /// Steps done before it, and in all.
+    /// Number of steps before it, and in total.
     pub place: [usize; 2],
     /// What it is.
     pub words: String,
@@ -234,7 +234,7 @@ pub struct Step<'j> {
 }
 
 impl Step<'_> {
-    /// Says that it begins.
+    /// Reports that the step begins.
     pub fn begin(&self) {
         self.show(0.0, self.words.clone());
     }
@@ -264,14 +264,14 @@ struct Inner {
     ended: bool,
 }
 
-/// All jobs, and the threads that do them.
+/// All jobs, and the threads that run them.
 pub struct Jobs {
     inner: Mutex<Inner>,
     wake: Condvar,
 }
 
 impl Jobs {
-    /// Starts the threads that do `work`: one for every two cores, two at most, so that what else runs here keeps its own.
+    /// Starts the threads that run `work`: one for every two cores, at most two, to leave cores for everything else.
     #[must_use]
     pub fn start(work: impl Fn(&Job) -> Result<(), Fault> + Send + Sync + 'static) -> Arc<Self> {
         let jobs = Arc::new(Self { inner: Mutex::default(), wake: Condvar::new() });
@@ -290,7 +290,7 @@ impl Jobs {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Orders a job.
+    /// Queues a job.
     ///
     /// # Errors
     /// Too many are waiting.
@@ -319,7 +319,7 @@ impl Jobs {
             changed: watch::Sender::new(0),
         });
         if inner.jobs.len() >= KEPT {
-            // The oldest that is over goes; at most a few are not.
+            // Drop the oldest finished job; at most a few are not finished.
             if let Some(at) = inner.jobs.iter().position(|job| job.made().state.over()) {
                 inner.jobs.remove(at);
             }
@@ -331,7 +331,7 @@ impl Jobs {
         Ok(job)
     }
 
-    /// Every job that is kept, oldest first.
+    /// All jobs kept, oldest first.
     #[must_use]
     pub fn list(&self) -> Vec<Arc<Job>> {
         self.inner().jobs.iter().cloned().collect()
@@ -340,7 +340,7 @@ impl Jobs {
     /// A job.
     ///
     /// # Errors
-    /// It is not there, or not any more.
+    /// It does not exist, or no longer.
     pub fn get(&self, id: &str) -> Result<Arc<Job>, Fault> {
         let missing = || {
             let id = super::names::shown(id);
@@ -349,7 +349,7 @@ impl Jobs {
         self.inner().jobs.iter().find(|job| job.id == id).cloned().ok_or_else(missing)
     }
 
-    /// Cancels a job, or forgets one that is over.
+    /// Cancels a job, or deletes a finished one.
     ///
     /// # Errors
     /// As [`Jobs::get`].
@@ -365,7 +365,7 @@ impl Jobs {
         Ok(state)
     }
 
-    /// Ends the threads after what is under way; everything else is cancelled.
+    /// Cancels all jobs and ends the threads after their current step.
     pub fn end(&self) {
         let jobs = {
             let mut inner = self.inner();
@@ -377,7 +377,7 @@ impl Jobs {
         self.wake.notify_all();
     }
 
-    /// The next job; `None` when no more come.
+    /// The next job; `None` when there will be no more.
     fn next(&self) -> Option<Arc<Job>> {
         let mut inner = self.inner();
         loop {
@@ -400,7 +400,7 @@ impl Jobs {
             if job.cancelled() {
                 continue;
             }
-            // A fault of ours fails one job, not the thread that others wait for.
+            // A panic fails one job, not the thread that the others wait for.
             let done = std::panic::catch_unwind(AssertUnwindSafe(|| work(&job)));
             let done = done.unwrap_or_else(|_| Err(Fault::own("internal error; the program's log has details")));
             job.change(|made| match done {

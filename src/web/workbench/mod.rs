@@ -1,11 +1,11 @@
-//! Files looked at by hand: opened or uploaded, cut into sections, estimated and diagnosed as the commands do it.
+//! Manual analysis of files: opened or uploaded, cut into sections, estimated and diagnosed as by the commands.
 //!
-//! [`shelf`] keeps files, [`upload`] takes them, [`record`] draws from them; [`request`] says what may be asked,
-//! [`preview`] shows the data that it would use, [`jobs`] queues it, [`work`] does it, [`documents`] tells it; [`choices`] lists everything that can be chosen;
-//! [`serve`] serves the page.
+//! [`shelf`] keeps files, [`upload`] receives them, [`record`] draws from them; [`request`] defines the options of a job,
+//! [`preview`] shows the data that it would use, [`jobs`] queues it, [`work`] runs it, [`documents`] describes it; [`choices`]
+//! lists the options; [`serve`] serves the page.
 //!
-//! The daemon has no part in this: `stictiond workbench` is a separate process, so that whatever a file does to the
-//! program that reads it, the plant is still watched.
+//! The daemon is not involved: `stictiond workbench` is a separate process, so that whatever a file does to the program that
+//! reads it, the plant is still monitored.
 
 mod alone;
 mod choices;
@@ -39,9 +39,9 @@ pub use fault::Fault;
 pub use reading::{OPTIONS, ReadingWords};
 pub use routes::operations;
 
-/// Streams of jobs at a time.
+/// Most streams of jobs at a time.
 const STREAMS: usize = 32;
-/// Records drawn at a time: each takes memory for its whole loop.
+/// Records read for drawing at a time: each takes memory for its whole loop.
 const DRAWN: usize = 4;
 
 /// Files and jobs.
@@ -57,7 +57,7 @@ pub struct Workbench {
 pub type Bench = Arc<Workbench>;
 
 impl Workbench {
-    /// An empty one; its threads wait for jobs until it is dropped.
+    /// An empty workbench, whose threads wait for jobs until it is dropped.
     #[must_use]
     pub fn start() -> Bench {
         let shelf = Arc::new(Shelf::new(Limits::default()));
@@ -71,7 +71,7 @@ impl Workbench {
         })
     }
 
-    /// Opens files of this machine. `words` are the reading options as they were written.
+    /// Opens files of this machine. `words` are the reading options as typed.
     ///
     /// # Errors
     /// They cannot be read.
@@ -79,7 +79,7 @@ impl Workbench {
         self.shelf.give(unit, options, words).map(|info| info.loops.len())
     }
 
-    /// Cancels what is under way and removes what was uploaded.
+    /// Cancels running jobs and deletes uploads.
     pub fn close(&self) {
         self.jobs.end();
         self.shelf.clear();

@@ -1,14 +1,14 @@
-//! Names from outside: shown, written into command lines, never a path on this machine.
+//! Names from outside: shown and written into command lines, but never used as a path on this machine.
 
 /// Longest name, characters.
 const LONGEST: usize = 120;
 
-/// Name of a file from outside: the last part of the name that its sender gave, on whichever system, without
-/// characters that steer anything. The ending stays, since loops of tables are named after their files.
+/// A displayable name for a file from outside: the last part of the given name, whichever system it is from, without control
+/// characters. The extension remains, since loops of tables are named after their files.
 #[must_use]
 pub fn shown(sent: &str) -> String {
     let last = sent.rsplit(['/', '\\']).find(|part| !part.trim().is_empty()).unwrap_or_default();
-    // Marks that turn the direction of text can make one ending look like another.
+    // Marks that reverse the direction of text can disguise a file extension.
     let steers = |c: &char| {
         c.is_control()
             || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')
@@ -23,7 +23,7 @@ pub fn shown(sent: &str) -> String {
         }
         _ => plain.chars().take(LONGEST).collect(),
     };
-    // Where the cut left a space at the end, it goes too.
+    // Remove a space that is now at the end.
     let name = name.trim_end();
     if name.is_empty() { "file".to_owned() } else { name.to_owned() }
 }
@@ -44,7 +44,7 @@ mod tests {
             prop_assert!(!name.contains(steering));
             prop_assert!(!name.starts_with(['.', '-']));
             prop_assert_eq!(std::path::Path::new(&name).components().count(), 1);
-            // A clean name stays as it is.
+            // A clean name is not changed.
             prop_assert_eq!(shown(&name), name);
         }
     }

@@ -1,4 +1,5 @@
-//! What a run would analyse, before it is ordered: each section as recorded, and after downsampling and detrending.
+//! The data that a run would analyse, shown before it is started: each section as recorded, and after downsampling and
+//! detrending.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -11,25 +12,25 @@ use stiction::core::record::Record;
 use stiction_engine::analysis::estimate::span_of;
 use stiction_engine::analysis::{AnalysisError, Points, Section, gap};
 
-/// Points of a curve at most.
+/// Most points of a curve.
 const POINTS: usize = 2_000;
 
-/// The sections of an order.
+/// The sections of a request.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Preview {
     sections: Vec<SectionPreview>,
 }
 
-/// A section before it is analysed.
+/// A section before analysis.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
 struct SectionPreview {
     /// The section in words, empty for the whole record.
     section: String,
-    /// As recorded: its longest stretch without data gaps.
+    /// As recorded; the longest stretch without data gaps.
     before: Option<Curves>,
     /// As it would be analysed.
     after: Option<Curves>,
-    /// OP's span after that, the upper limit of `fs + fd`, OP units.
+    /// OP's span in `after`, the upper limit of `fs + fd`, OP units.
     s0: Option<f64>,
     /// Notes on the section.
     notes: Vec<String>,
@@ -37,12 +38,12 @@ struct SectionPreview {
     error: Option<String>,
 }
 
-/// Curves over one axis, thinned; extremes stay.
+/// Curves over a common axis, thinned with their extremes kept.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 struct Curves {
     /// Points before thinning.
     count: usize,
-    /// Time between two of them, s.
+    /// Time between two points, s.
     point_s: f64,
     /// Stamps, ms since 1970.
     t_ms: Vec<f64>,
@@ -55,7 +56,7 @@ struct Curves {
 /// The sections that a task would analyse.
 ///
 /// # Errors
-/// No such file or loop.
+/// There is no such file or loop.
 pub fn preview(shelf: &Shelf, task: &Task) -> Result<Preview, Fault> {
     let points = shelf.points(&task.request.file, &task.request.loop_name)?;
     Ok(Preview { sections: task.sections.iter().map(|section| of_section(task, &points, *section)).collect() })

@@ -1,4 +1,4 @@
-//! How an export is read, by the command line's options, and the parameters of an upload.
+//! Options for reading an export, as on the command line, and the parameters of an upload.
 
 use serde::Serialize;
 
@@ -6,21 +6,21 @@ use super::fault::Fault;
 use super::names;
 use stiction_files::ReadOptions;
 
-/// Options for reading, as they are called in addresses; on the command line `_` is `-`.
+/// Names of the reading options in URLs; on the command line `_` becomes `-`.
 pub const OPTIONS: [&str; 8] = ["map", "time_format", "tz", "decimal", "delimiter", "encoding", "sheet", "quality"];
 
 /// Longest value of an option, bytes.
 const LONGEST: usize = 2_000;
 
-/// The options with which exports are read, as they are written: `("tz", "UTC")`.
+/// Reading options as typed: `("tz", "UTC")`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ReadingWords(Vec<(&'static str, String)>);
 
 impl ReadingWords {
-    /// Takes one option. An empty value counts as none.
+    /// Sets one option. An empty value counts as absent.
     ///
     /// # Errors
-    /// There is no such option, it is said twice, or too long.
+    /// The option does not exist, occurs twice, or is too long.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), Fault> {
         let known = OPTIONS.into_iter().find(|known| *known == name);
         let known = known.ok_or_else(|| {
@@ -38,17 +38,17 @@ impl ReadingWords {
         Ok(())
     }
 
-    /// As words of a command line.
+    /// The options as command-line arguments.
     #[must_use]
     pub fn arguments(&self) -> Vec<String> {
-        // With `=`, because a value may begin with a dash.
+        // With `=`, since a value may begin with a dash.
         self.0.iter().map(|(name, value)| format!("--{}={value}", name.replace('_', "-"))).collect()
     }
 
-    /// As readers take them.
+    /// The options in the form that readers take.
     ///
     /// # Errors
-    /// Which value is not understood, and what would be.
+    /// Names the invalid value, and what is valid.
     pub fn options(&self) -> Result<ReadOptions, Fault> {
         let mut options = ReadOptions::default();
         for (name, value) in &self.0 {
@@ -64,12 +64,12 @@ impl Serialize for ReadingWords {
     }
 }
 
-/// Parameters in an upload's address.
+/// Query parameters of an upload.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Upload {
-    /// What the file is called.
+    /// Name of the file.
     pub name: String,
-    /// How it is read.
+    /// How to read it.
     pub reading: ReadingWords,
 }
 
@@ -77,7 +77,7 @@ impl Upload {
     /// Reads `name=FILE[&tz=…&map=…]`, percent-encoded. Bytes that are not UTF-8 become U+FFFD.
     ///
     /// # Errors
-    /// A part that is not understood.
+    /// A part is not understood.
     pub fn read(query: &str) -> Result<Self, Fault> {
         let (mut name, mut reading) = (None, ReadingWords::default());
         for (key, value) in form_urlencoded::parse(query.as_bytes()) {

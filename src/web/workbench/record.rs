@@ -1,4 +1,4 @@
-//! A loop's record for the trend: between two times, with as many points as a screen has.
+//! A loop's record for the trend: between two times, thinned to the resolution of a screen.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,31 +10,31 @@ use crate::web::thin::thin;
 use stiction::core::signal::align::Point;
 use stiction_engine::analysis::{Points, Section};
 
-/// Points unless others are asked for, and at most.
+/// Default and largest number of points.
 const POINTS: [usize; 2] = [2_000, 20_000];
 
-/// What of a record is asked for.
+/// Which part of a record is requested.
 #[derive(Debug, Clone, Deserialize)]
 pub struct RecordQuery {
     /// The loop.
     #[serde(rename = "loop")]
     pub loop_name: String,
-    /// From when, ms since 1970.
+    /// Start, ms since 1970.
     pub from_ms: Option<f64>,
-    /// To when, ms since 1970.
+    /// End, ms since 1970.
     pub to_ms: Option<f64>,
-    /// How many points.
+    /// Number of points.
     pub points: Option<usize>,
 }
 
-/// Curves over one axis. Missing values are null.
+/// Curves over a common axis. Missing values are null.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct RecordAnswer {
     /// Sampling time, s.
     pub ts_s: Option<f64>,
     /// Samples of the whole loop.
     pub samples: usize,
-    /// Numbers of the first and last sample between the two times, from 1; null where there is none.
+    /// Numbers of the first and last sample between the two times, from 1; null if there is none.
     pub range: Option<[usize; 2]>,
     /// Stamps, ms since 1970.
     pub t_ms: Vec<f64>,
@@ -42,18 +42,18 @@ pub struct RecordAnswer {
     pub op: Vec<Option<f64>>,
     /// Process variable.
     pub pv: Vec<Option<f64>>,
-    /// Set point, where one is recorded.
+    /// Set point, if recorded.
     pub sp: Option<Vec<Option<f64>>>,
-    /// Valve position, where one is recorded.
+    /// Valve position, if recorded.
     pub mv: Option<Vec<Option<f64>>>,
-    /// Number of each point's sample, from 1, as `--samples` counts; null in a hole between two stretches.
+    /// Number of each point's sample, from 1, as in `--samples`; null in a hole between two stretches.
     pub index: Vec<Option<usize>>,
 }
 
 /// The record between two times.
 ///
 /// # Errors
-/// No such file or loop.
+/// There is no such file or loop.
 pub fn record(shelf: &Shelf, id: &str, query: &RecordQuery) -> Result<RecordAnswer, Fault> {
     let points = shelf.points(id, &query.loop_name)?;
     answer(&points, query)
@@ -63,7 +63,7 @@ fn answer(points: &Points, query: &RecordQuery) -> Result<RecordAnswer, Fault> {
     let all = points.samples(Section::Whole).map_err(|error| Fault::wrong(error.to_string()))?;
     let ts_s = sampling_time_s(&all);
     let ms = |point: &Point| point.t_ns as f64 / 1e6;
-    // Stretches follow one another in time but for clocks that were set back; then everything between first and last.
+    // Stretches are in order of time unless the clock was set back; then take everything between first and last.
     let from = query.from_ms.map_or(0, |from| all.iter().position(|p| ms(p) >= from).unwrap_or(all.len()));
     let to = query.to_ms.map_or(all.len(), |to| all.iter().rposition(|p| ms(p) <= to).map_or(0, |last| last + 1));
     let part = all.get(from..to).unwrap_or_default();
@@ -82,7 +82,7 @@ fn answer(points: &Points, query: &RecordQuery) -> Result<RecordAnswer, Fault> {
         let at = pair[0];
         rows.push(Some(at));
         t_ms.push(ms(&part[at]));
-        // A hole between two samples would look like a line between them.
+        // Without a missing point, the chart would draw a line across the hole.
         if let Some(gap) = pair.get(1).and_then(|next| hole(&part[at..=*next], hole_ms)) {
             rows.push(None);
             t_ms.push(gap);
@@ -104,7 +104,7 @@ fn answer(points: &Points, query: &RecordQuery) -> Result<RecordAnswer, Fault> {
     })
 }
 
-/// Sampling times from which on two samples have a hole between them.
+/// Two samples further apart than this have a hole between them, sampling times.
 const HOLE: f64 = 5.5;
 
 /// The middle of the first hole among samples, ms.
@@ -141,7 +141,7 @@ mod tests {
         let some = answer(&points, &query(Some(1_000_000.0), Some(1_999_000.0), 4_000)).unwrap();
         assert_eq!((some.samples, some.range, some.t_ms.len()), (5_000, Some([1_001, 2_000]), 1_000));
         assert_eq!((some.index[0], some.t_ms[0], some.ts_s), (Some(1_001), 1_000_000.0, Some(1.0)));
-        // The section of these numbers begins at that time.
+        // The section with these numbers begins at that time.
         let (record, _) = points.record(Section::Samples(1_001, 2_000), 5_000).unwrap();
         assert_eq!((record.start_ns, record.end_ns), (ns_from_s(1_000.0), ns_from_s(1_999.0)));
         let few = answer(&points, &query(None, None, 100)).unwrap();

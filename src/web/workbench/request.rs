@@ -1,4 +1,4 @@
-//! The request for a job: the options of `analyze` and `gap`, checked, and as a command line.
+//! The request for a job: the options of `analyze` and `gap`, their check, and the equivalent command line.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,31 +16,31 @@ use stiction::core::verdict::{DelayChoice, ModelChoice, ValveChoice};
 use stiction_engine::analysis::gap::{BaseChoice, GapSettings};
 use stiction_engine::analysis::{Cut, Detrend, FitOverrides, Section, delay_choice};
 
-/// Sections of one job at most: as many as a report draws in full.
+/// Most sections of one job: as many as a report draws in full.
 const SECTIONS: usize = crate::report::IN_FULL;
-/// Seed of a diagnosis unless another is asked for.
+/// Default seed of a diagnosis.
 pub const GAP_SEED: u64 = 1;
-/// Bounds of what is asked for, as on the command line.
+/// Bounds of the fineness, as on the command line.
 pub const FINENESS_PCT: [f64; 2] = [0.5, 50.0];
-/// The same for models that a solver may try.
+/// Bounds of the models that a solver may try.
 pub const EVALUATIONS: [u64; 2] = [1, 10_000_000];
-/// Longest search of a diagnosis, s.
+/// Longest search in a diagnosis, s.
 pub const BUDGET_S: f64 = 600.0;
-/// File name in the command line of a base from elsewhere.
+/// File names in the command line for a base and a scored model that came with the request.
 const BASE_FILE: &str = "base.json";
 const SCORE_FILE: &str = "score.json";
 
-/// What is done.
+/// Kind of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
-    /// An estimate a section.
+    /// One estimate for each section.
     Analyze,
-    /// A diagnosis of the gap a section.
+    /// One gap diagnosis for each section.
     Gap,
 }
 
-/// `--model`, or both orders side by side.
+/// `--model`, or both orders one after the other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Model {
@@ -48,15 +48,15 @@ pub enum Model {
     Fopdt,
     /// Second order with dead time.
     Sopdt,
-    /// Second order only where it earns its parameter.
+    /// Second order only if the data justify its additional parameter.
     #[default]
     Auto,
-    /// A run with each of the first two.
+    /// One run with each of the first two.
     Both,
 }
 
 impl Model {
-    /// One run each.
+    /// The model of each run.
     #[must_use]
     pub fn runs(self) -> Vec<Self> {
         if self == Self::Both { vec![Self::Fopdt, Self::Sopdt] } else { vec![self] }
@@ -73,7 +73,7 @@ impl Model {
         }
     }
 
-    /// The order that it asks for.
+    /// The order that it requests.
     #[must_use]
     pub const fn order(self) -> Option<u8> {
         match self {
@@ -105,11 +105,11 @@ pub enum DetrendWord {
     Linear,
 }
 
-/// A job as it is ordered. What is absent or null has the command line's default.
+/// A job as requested. Fields that are absent or null have the defaults of the command line.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
-    /// What is done.
+    /// Kind of the job.
     pub kind: Kind,
     /// The file, by its id.
     pub file: String,
@@ -122,13 +122,13 @@ pub struct Request {
     /// Sections by time, ms since 1970, ends included.
     #[serde(default)]
     pub window_ms: Option<[f64; 2]>,
-    /// One point for every so many samples.
+    /// One point for this many samples.
     #[serde(default)]
     pub downsample: Option<f64>,
     /// Drop samples instead of averaging.
     #[serde(default)]
     pub like_toolbox: bool,
-    /// What is taken away from PV and SP.
+    /// The trend removed from PV and SP.
     #[serde(default)]
     pub detrend: Option<DetrendWord>,
     /// The process model.
@@ -149,13 +149,13 @@ pub struct Request {
     /// A solver to compare with, by name.
     #[serde(default)]
     pub solver: Option<String>,
-    /// Models that it may try.
+    /// Models that the solver may try.
     #[serde(default)]
     pub evaluations: Option<u64>,
     /// OP's range, OP units.
     #[serde(default)]
     pub op_range: Option<[f64; 2]>,
-    /// Share of such loops that stick: p assumes it.
+    /// Fraction of such loops that stick; p depends on it.
     #[serde(default)]
     pub prevalence: Option<f64>,
     /// Unit of OP on pictures.
@@ -167,24 +167,24 @@ pub struct Request {
     /// A model to run over the record as well: a document or a plain model.
     #[serde(default)]
     pub score: Option<Value>,
-    /// `refit`, `linear`, or a model: a document or a plain one.
+    /// `refit`, `linear`, or a model: a document or a plain model.
     #[serde(default)]
     pub base: Option<Value>,
-    /// Effects that are left out.
+    /// Effects that are excluded.
     #[serde(default)]
     pub without: Vec<String>,
-    /// Pairs of effects even where one alone explains the record.
+    /// Whether to try pairs of effects even if one alone explains the record.
     #[serde(default)]
     pub pairs: bool,
-    /// Time of the diagnosis' search, s.
+    /// Time limit of the diagnosis' search, s.
     #[serde(default)]
     pub budget_s: Option<f64>,
 }
 
-/// A request that can be carried out.
+/// A checked request.
 #[derive(Debug, Clone)]
 pub struct Task {
-    /// As it was asked.
+    /// The original request.
     pub request: Request,
     /// Sections in order.
     pub sections: Vec<Section>,
@@ -202,15 +202,15 @@ impl Request {
     /// Reads a request.
     ///
     /// # Errors
-    /// Which field is not understood, and what would be.
+    /// Names the field that is not understood, and what is valid.
     pub fn read(body: &[u8]) -> Result<Self, Fault> {
         serde_json::from_slice(body).map_err(|error| Fault::wrong(format!("cannot parse the request: {error}")))
     }
 
-    /// Checks everything that can be checked before the file is looked at.
+    /// Checks everything that can be checked without the file.
     ///
     /// # Errors
-    /// Which field, and what would be right.
+    /// Names the field, and what would be valid.
     pub fn task(self) -> Result<Task, Fault> {
         let wrong = |text: String| Err(Fault::wrong(text));
         let of = |field: &'static str| move |why: String| Fault::wrong(format!("{field}: {why}"));
@@ -231,7 +231,7 @@ impl Request {
             return wrong(format!("op_range: the upper end {high} must be above the lower, {low}"));
         }
         if let Some(name) = self.solver.as_deref().filter(|name| SolverName::of(name).is_none()) {
-            // A program of somebody's own is started from the command line alone: whoever reaches this page must not.
+            // A user's own solver program can only be started from the command line: nobody who reaches this page may do that.
             let known = SolverName::ALL.map(SolverName::name).join(", ");
             return wrong(format!("solver: {:?} is not available here; use one of {known}", super::names::shown(name)));
         }
@@ -289,7 +289,7 @@ impl Request {
         Ok(sections)
     }
 
-    /// The command lines that give the same, one a run; `file` and `alone` as for [`Request::arguments`].
+    /// Equivalent command lines, one for each run; `file` and `alone` as for [`Request::arguments`].
     #[must_use]
     pub fn commands(&self, file: &[String], alone: bool) -> Vec<String> {
         let runs = if self.kind == Kind::Gap { vec![Model::Auto] } else { self.model.runs() };
@@ -297,8 +297,8 @@ impl Request {
         runs.into_iter().map(|run| command_line(words(run))).collect()
     }
 
-    /// The command line of a run, without the program: `file` is the file's name with its reading options; `alone` says
-    /// that the file holds no other loop.
+    /// Arguments of the command line for a run: `file` is the file's name with its reading options; `alone` says that the file
+    /// holds no other loop.
     #[must_use]
     pub fn arguments(&self, run: Model, file: &[String], alone: bool) -> Vec<String> {
         let mut words = vec![if self.kind == Kind::Gap { "gap" } else { "analyze" }.to_owned()];
@@ -391,7 +391,7 @@ impl Task {
     }
 }
 
-/// A moment as a command line takes it back to the nanosecond.
+/// A time in the form that the command line reads back to the nanosecond.
 fn moment(ms: f64) -> String {
     let ns = (ms * 1e6).round() as i64;
     let text = format_rfc3339(ns);

@@ -33,15 +33,15 @@ use crate::web::thin::thin;
 use stiction::core::units::format_seconds;
 use stiction_engine::analysis::predictions::Row;
 
-/// Largest order of a job, bytes: a model's document may be part of it.
+/// Largest request for a job, bytes; it may contain a model's document.
 const MAX_ORDER: usize = 1 << 20;
 /// Pause between two events of a job.
 const PAUSE: Duration = Duration::from_millis(150);
-/// Points of curves that a diagnosis shows, unless others are asked for.
+/// Default number of points in a diagnosis' curves.
 const POINTS: usize = 3_000;
 
 type Answered<T> = Result<Json<T>, Fault>;
-/// A query as it comes, understood or not.
+/// A query, parsed or refused.
 type Wanted<T> = Result<Query<T>, QueryRejection>;
 
 fn wanted<T>(query: Wanted<T>) -> Result<T, Fault> {
@@ -54,20 +54,20 @@ struct Files {
     files: Vec<FileInfo>,
 }
 
-/// A job that was ordered.
+/// A queued job.
 #[derive(Debug, Serialize, JsonSchema)]
 struct Ordered {
     id: String,
     command: String,
 }
 
-/// How a job stands that was cancelled or forgotten.
+/// State of a job that was cancelled or deleted.
 #[derive(Debug, Serialize, JsonSchema)]
 struct Stands {
     state: JobState,
 }
 
-/// Which part of a job's results.
+/// Which of a job's results.
 #[derive(Debug, Deserialize)]
 struct PartQuery {
     #[serde(default)]
@@ -75,18 +75,18 @@ struct PartQuery {
     points: Option<usize>,
 }
 
-/// Measured PV and free runs of a diagnosed section, thinned. Null where a run does not count.
+/// Measured PV and free runs of a diagnosed section, thinned. Null where a run is not scored.
 #[derive(Debug, Serialize, JsonSchema)]
 struct Predictions {
     /// Stamps, ms since 1970.
     t_ms: Vec<f64>,
     /// Measured PV.
     pv: Vec<f64>,
-    /// Free run of the base.
+    /// Free run of the base model.
     pv_base: Vec<Option<f64>>,
     /// Free run with the effect.
     pv_after: Vec<Option<f64>>,
-    /// Whether no model was fitted there.
+    /// Whether the models were fitted without this point.
     held_out: Vec<bool>,
 }
 
@@ -275,7 +275,7 @@ async fn curves(
     in_place(&bench, move |shelf| record(shelf, &id, &query)).await
 }
 
-/// Reads a record on a separate thread, a few at a time.
+/// Reads a record on a separate thread; only a few run at a time.
 async fn in_place<T: Send + 'static>(
     bench: &Bench,
     read: impl FnOnce(&Shelf) -> Result<T, Fault> + Send + 'static,
@@ -291,7 +291,7 @@ async fn jobs(State(bench): State<Bench>) -> Json<JobList> {
     Json(JobList { jobs: bench.jobs.list().iter().map(|job| JobDocument::of(job, false)).collect() })
 }
 
-/// The order in a request's body.
+/// The job in a request's body.
 fn ordered(body: Result<Bytes, BytesRejection>) -> Result<Request, Fault> {
     let body = body.map_err(|why| match why.status() {
         StatusCode::PAYLOAD_TOO_LARGE => Fault::too_large("an order may have 1 MiB"),
@@ -332,7 +332,7 @@ async fn remove(State(bench): State<Bench>, Path(id): Path<String>) -> Answered<
     Ok(Json(Stands { state: bench.jobs.remove(&id)? }))
 }
 
-/// Progress of a stream.
+/// State of a stream.
 struct Following {
     job: Arc<Job>,
     changes: tokio::sync::watch::Receiver<u64>,
@@ -361,7 +361,7 @@ async fn events(
 }
 
 impl Following {
-    /// The job at once, then after every change, and a last time when it is over.
+    /// The job at once, then after every change, and once more when it has ended.
     async fn next(&mut self) -> Option<Event> {
         if self.over {
             return None;
@@ -396,7 +396,7 @@ async fn report(
     let made = bench.jobs.get(&id)?.now();
     let page = made.reports.get(query.part).cloned();
     let page = page.ok_or_else(|| Fault::missing("the report is not there yet; it comes with the pictures"))?;
-    // The page holds its own styles and script, and nothing of anybody else's; in a sandbox it cannot reach the API.
+    // The page contains its own styles and script and nothing from outside; the sandbox keeps it from the API.
     let rules = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; sandbox allow-scripts allow-modals allow-popups";
     let headers = [(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::CONTENT_SECURITY_POLICY, rules)];
     Ok((headers, String::clone(&page)).into_response())

@@ -1,4 +1,4 @@
-//! How often a record was sampled.
+//! Sampling time of a record.
 
 use stiction::core::signal::align::Point;
 use stiction::core::signal::stats;
@@ -7,7 +7,7 @@ use stiction::core::units::s_from_ns;
 /// Median interval between samples, s.
 #[must_use]
 pub fn sampling_time_s(points: &[Point]) -> Option<f64> {
-    // Enough of them to tell, without a copy of a long record.
+    // A subset is enough, and avoids a copy of a long record.
     let step = (points.len() / 10_000).max(1);
     let intervals: Vec<f64> =
         points.windows(2).step_by(step).map(|pair| s_from_ns(pair[1].t_ns - pair[0].t_ns)).collect();

@@ -1,6 +1,6 @@
-//! The files of a workbench: given on the command line or uploaded, read when somebody looks at them.
+//! The files of a workbench, given on the command line or uploaded.
 //!
-//! What is read stays in memory up to a bound, oldest use first out, and is read again when it is wanted.
+//! Their contents are kept in memory up to a limit, dropped least recently used first, and read again when needed.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -23,16 +23,16 @@ use stiction_files::inputs::Unit;
 use stiction_files::run::config_of;
 use stiction_files::{Loaded, LoadedLoop, ReadOptions};
 
-/// What may be kept.
+/// Limits on what is kept.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
-    /// Files at a time.
+    /// Number of files.
     pub files: usize,
     /// Bytes of one upload.
     pub file_bytes: u64,
     /// Bytes of all uploads.
     pub total_bytes: u64,
-    /// Samples of files that stay in memory, bytes.
+    /// Bytes of samples kept in memory.
     pub memory_bytes: usize,
 }
 
@@ -42,26 +42,26 @@ impl Default for Limits {
     }
 }
 
-/// Loops whose points stay joined.
+/// Loops whose joined points are kept.
 const JOINED: usize = 4;
 
 /// A file as the page shows it.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct FileInfo {
-    /// Its name in addresses.
+    /// Its name in URLs.
     pub id: String,
-    /// What it is called.
+    /// Its displayed name.
     pub name: String,
-    /// Bytes.
+    /// Size, bytes.
     pub bytes: u64,
-    /// Whether it was uploaded; else it stands where the command line said.
+    /// Whether it was uploaded; otherwise it is at the path given on the command line.
     pub uploaded: bool,
     /// How it is read: options by name.
     #[schemars(with = "std::collections::BTreeMap<String, String>")]
     pub reading: ReadingWords,
     /// What was recognised in an export.
     pub recognised: Option<String>,
-    /// What a person should know.
+    /// Warnings about the file.
     pub warnings: Vec<String>,
     /// Its loops.
     pub loops: Vec<LoopInfo>,
@@ -72,7 +72,7 @@ pub struct FileInfo {
 pub struct LoopInfo {
     /// Its name.
     pub name: String,
-    /// Samples after OP and PV are joined, as `--samples` counts them.
+    /// Number of samples after OP and PV are joined, as counted by `--samples`.
     pub samples: usize,
     /// First stamp, ms since 1970.
     pub start_ms: Option<f64>,
@@ -80,21 +80,21 @@ pub struct LoopInfo {
     pub end_ms: Option<f64>,
     /// Sampling time, s.
     pub ts_s: Option<f64>,
-    /// What both tags have in common, where the file gives tags.
+    /// The common part of OP's and PV's tags, if the file has tags.
     pub tag: Option<String>,
-    /// Tags of OP and PV, and what somebody noted.
+    /// Tags of OP and PV, and the comment.
     pub about: Option<String>,
     /// Units of OP and PV.
     pub units: [Option<String>; 2],
-    /// Signals that are there.
+    /// Signals present.
     pub columns: Vec<&'static str>,
 }
 
-/// Place of a file, and how it is read.
+/// Location of a file, and how to read it.
 #[derive(Debug, Clone)]
 struct Source {
     unit: Unit,
-    /// What the files are called: by whoever uploaded one, or as on the command line.
+    /// Displayed names of the files: from the upload, or as on the command line.
     called: Vec<String>,
     uploaded: bool,
     options: ReadOptions,
@@ -104,7 +104,7 @@ struct Held {
     info: FileInfo,
     source: Source,
     loaded: Option<Arc<Opened>>,
-    /// When it was wanted last, in wants.
+    /// Last use, on the counter of uses.
     wanted: u64,
 }
 
@@ -112,7 +112,7 @@ struct Held {
 pub struct Opened {
     /// Its contents.
     pub loaded: Loaded,
-    /// The configuration that it was recorded under, or the defaults.
+    /// The configuration under which it was recorded, or the defaults.
     pub config: Config,
 }
 
@@ -120,7 +120,7 @@ impl Opened {
     /// A loop by its name.
     ///
     /// # Errors
-    /// It has no such loop.
+    /// There is no such loop.
     pub fn choose(&self, name: &str) -> Result<&LoadedLoop, Fault> {
         stiction_files::choose_loop(&self.loaded.loops, name).map_err(Fault::missing)
     }
@@ -130,10 +130,10 @@ impl Opened {
     }
 }
 
-/// Bytes of an upload that has begun, given back when it fails.
+/// An upload under way; its bytes are given back if it fails.
 pub struct UploadSlot {
     shelf: Arc<Shelf>,
-    /// Where the bytes go.
+    /// File that the bytes are written to.
     pub path: PathBuf,
     number: u64,
     bytes: u64,
@@ -144,7 +144,7 @@ pub struct UploadSlot {
 struct Inner {
     files: Vec<Held>,
     joined: VecDeque<(String, String, Arc<Points>)>,
-    /// Uploads under way, and the bytes of all uploads.
+    /// Number of uploads under way, and bytes of all uploads.
     coming: usize,
     bytes: u64,
     next: u64,
@@ -158,13 +158,13 @@ impl Inner {
     }
 }
 
-/// The folder of uploads, ours alone.
+/// The folder for uploads, readable by us alone.
 enum Folder {
-    /// Nothing was uploaded.
+    /// Nothing was uploaded yet.
     None,
-    /// Taken away with this.
+    /// Deleted when this is dropped.
     Made(TempDir),
-    /// Nothing more is taken.
+    /// No more uploads are taken.
     Over,
 }
 
@@ -173,12 +173,12 @@ pub struct Shelf {
     limits: Limits,
     folder: Mutex<Folder>,
     inner: Mutex<Inner>,
-    /// One file is read at a time: a table takes several times its size while it is.
+    /// Held while a file is read, one at a time: reading a table takes several times its size.
     reading: Mutex<()>,
 }
 
 impl Shelf {
-    /// An empty one.
+    /// An empty shelf.
     #[must_use]
     pub fn new(limits: Limits) -> Self {
         Self { limits, folder: Mutex::new(Folder::None), inner: Mutex::default(), reading: Mutex::new(()) }
@@ -192,13 +192,13 @@ impl Shelf {
         self.folder.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Removes everything that was uploaded; nothing comes after it.
+    /// Deletes all uploads; no more are accepted.
     pub fn clear(&self) {
-        // What cannot be removed is left to the system's own cleaning.
+        // What cannot be deleted is left to the system's cleanup.
         *self.folder() = Folder::Over;
     }
 
-    /// Its bounds.
+    /// Its limits.
     #[must_use]
     pub const fn limits(&self) -> &Limits {
         &self.limits
@@ -213,13 +213,13 @@ impl Shelf {
     /// One file.
     ///
     /// # Errors
-    /// It is not there.
+    /// It does not exist.
     pub fn info(&self, id: &str) -> Result<FileInfo, Fault> {
         let inner = self.inner();
         inner.files.iter().find(|held| held.info.id == id).map(|held| held.info.clone()).ok_or_else(|| gone(id))
     }
 
-    /// Takes files that the command line names.
+    /// Adds files named on the command line.
     ///
     /// # Errors
     /// They cannot be read, or there are too many files.
@@ -243,7 +243,7 @@ impl Shelf {
         Err(Fault::too_many(format!("{} files are open, the limit; close one first", self.limits.files)))
     }
 
-    /// Whether there is room for an upload of this size.
+    /// Checks that an upload of this size is allowed.
     ///
     /// # Errors
     /// It is too large.
@@ -258,10 +258,10 @@ impl Shelf {
         )))
     }
 
-    /// A place for an upload.
+    /// Starts an upload.
     ///
     /// # Errors
-    /// Too many files are open, or no folder can be made.
+    /// Too many files are open, or the folder cannot be created.
     pub fn place(self: &Arc<Self>) -> Result<UploadSlot, Fault> {
         let mut folder = self.folder();
         if matches!(*folder, Folder::None) {
@@ -280,7 +280,7 @@ impl Shelf {
         Ok(UploadSlot { shelf: self.clone(), path, number, bytes: 0, kept: false })
     }
 
-    /// Reads a source and puts it on the shelf.
+    /// Reads a file and puts it on the shelf.
     fn add(&self, number: u64, source: Source, reading: ReadingWords, bytes: u64) -> Result<FileInfo, Fault> {
         let opened = self.read(&source)?;
         let loaded = &opened.loaded;
@@ -320,10 +320,10 @@ impl Shelf {
         Ok(Arc::new(Opened { loaded, config }))
     }
 
-    /// Contents of a file. Takes as long as reading it where it has left the memory.
+    /// Contents of a file, read again if they were dropped from memory.
     ///
     /// # Errors
-    /// It is gone, or cannot be read any more.
+    /// It was closed, or can no longer be read.
     pub fn open(&self, id: &str) -> Result<Arc<Opened>, Fault> {
         let source = {
             let mut inner = self.inner();
@@ -344,7 +344,7 @@ impl Shelf {
         Ok(opened)
     }
 
-    /// Lets files leave the memory, longest unused first, until the rest fits; the one wanted last stays.
+    /// Drops files from memory, least recently used first, until the rest fits; the last used one stays.
     fn forget(&self, inner: &mut Inner) {
         let size = |held: &Held| held.loaded.as_ref().map_or(0, |opened| opened.bytes());
         let mut sum: usize = inner.files.iter().map(size).sum();
@@ -360,10 +360,10 @@ impl Shelf {
         }
     }
 
-    /// A loop's samples joined.
+    /// A loop's samples, with OP and PV joined.
     ///
     /// # Errors
-    /// No such file or loop.
+    /// There is no such file or loop.
     pub fn points(&self, id: &str, name: &str) -> Result<Arc<Points>, Fault> {
         let known = |inner: &Inner| {
             inner.joined.iter().find(|(file, one, _)| file == id && one == name).map(|(.., points)| points.clone())
@@ -382,20 +382,20 @@ impl Shelf {
         Ok(points)
     }
 
-    /// The names to write behind a command for this file, its reading options included.
+    /// Command-line arguments that name this file, with its reading options.
     ///
     /// # Errors
-    /// It is gone.
+    /// It was closed.
     pub fn arguments(&self, id: &str) -> Result<Vec<String>, Fault> {
         let inner = self.inner();
         let held = inner.files.iter().find(|held| held.info.id == id).ok_or_else(|| gone(id))?;
         Ok([held.source.called.clone(), held.info.reading.arguments()].concat())
     }
 
-    /// Closes a file; an uploaded one is removed.
+    /// Closes a file; an uploaded one is deleted.
     ///
     /// # Errors
-    /// It is not there.
+    /// It does not exist.
     pub fn close(&self, id: &str) -> Result<(), Fault> {
         let mut inner = self.inner();
         let at = inner.files.iter().position(|held| held.info.id == id).ok_or_else(|| gone(id))?;
@@ -410,10 +410,10 @@ impl Shelf {
 }
 
 impl UploadSlot {
-    /// Makes room for more bytes.
+    /// Reserves more bytes.
     ///
     /// # Errors
-    /// The file or all uploads together would be too large.
+    /// The file, or all uploads together, would be too large.
     pub fn grow(&mut self, bytes: u64) -> Result<(), Fault> {
         let limits = &self.shelf.limits;
         self.shelf.fits(self.bytes + bytes)?;
@@ -427,7 +427,7 @@ impl UploadSlot {
         Ok(())
     }
 
-    /// Reads what was uploaded and keeps it.
+    /// Reads the uploaded file and keeps it.
     ///
     /// # Errors
     /// It cannot be read.
@@ -447,13 +447,13 @@ impl Drop for UploadSlot {
         inner.coming -= 1;
         if !self.kept {
             inner.bytes = inner.bytes.saturating_sub(self.bytes);
-            // It may never have been made.
+            // It may never have been created.
             let _ = std::fs::remove_file(&self.path);
         }
     }
 }
 
-/// A new folder that nobody else can look into.
+/// A new folder that only this user can read.
 fn private_folder() -> std::io::Result<TempDir> {
     let mut builder = tempfile::Builder::new();
     builder.prefix("stictiond-");
@@ -469,13 +469,13 @@ fn gone(id: &str) -> Fault {
     Fault::missing(format!("there is no open file {:?}; open it again", super::names::shown(id)))
 }
 
-/// An error that calls files what their owners call them.
+/// Replaces paths in an error by the names that the user knows.
 fn with_names(error: &str, paths: &[PathBuf], called: &[String]) -> String {
     let named = |text: String, (path, name): (&PathBuf, &String)| text.replace(&path.display().to_string(), name);
     paths.iter().zip(called).fold(error.to_owned(), named)
 }
 
-/// Several files of one loop in one name.
+/// One name for several files of a loop.
 fn called(names: &[String]) -> String {
     let first =
         names.first().map(|name| Path::new(name).file_name().map_or(name.clone(), |n| n.to_string_lossy().into()));

@@ -1,4 +1,4 @@
-//! Uploads: the body goes to a file as it comes, within bounds of size and time.
+//! Uploads: the body is written to a file as it arrives, with limits on size and time.
 
 use std::io::Write as _;
 use std::sync::Arc;
@@ -16,11 +16,11 @@ use super::reading::Upload;
 use super::shelf::{FileInfo, UploadSlot};
 use crate::web::server::IdleTimer;
 
-/// Time that an upload has before its pace counts.
+/// Time before an upload's rate is checked.
 const GRACE: Duration = Duration::from_secs(5);
-/// Least pace from then on, bytes a second. Slower ones would hold places for hours.
+/// Lowest rate after that, bytes a second. Slower uploads would occupy places for hours.
 const LEAST_PACE: f64 = 32.0 * 1024.0;
-/// Uploads at a time.
+/// Most uploads at a time.
 pub const AT_A_TIME: usize = 4;
 
 /// `POST /files?name=…`.
@@ -32,7 +32,7 @@ pub async fn upload(
     body: Body,
 ) -> Result<Json<FileInfo>, Fault> {
     let upload = Upload::read(query.as_deref().unwrap_or_default())?;
-    // Before a byte is taken: an option that is not understood, and what is said to be too large.
+    // Refuse invalid options, and a stated size that is too large, before taking a byte.
     upload.reading.options()?;
     let said = headers.get(header::CONTENT_LENGTH).and_then(|text| text.to_str().ok()?.parse::<u64>().ok());
     bench.shelf.fits(said.unwrap_or(0))?;
@@ -41,12 +41,12 @@ pub async fn upload(
     };
     let mut place = bench.shelf.place()?;
     store(&mut place, body, idle.as_deref()).await?;
-    // Reading takes long and blocks. The place goes with it, so that a reader who leaves leaves nothing behind.
+    // Reading takes long and blocks. The thread owns the place, so that nothing is left behind if the client disconnects.
     let read = tokio::task::spawn_blocking(move || place.keep(&upload.name, upload.reading)).await;
     read.map_err(|_| Fault::own("the file could not be read; see the program's log"))?.map(Json)
 }
 
-/// Writes the body to its place.
+/// Writes the body to its file.
 async fn store(place: &mut UploadSlot, body: Body, idle: Option<&IdleTimer>) -> Result<(), Fault> {
     let mut file = std::fs::File::create_new(&place.path).map_err(|error| disk(&error))?;
     let (began, mut taken, mut pieces) = (Instant::now(), 0_u64, body.into_data_stream());
@@ -61,7 +61,7 @@ async fn store(place: &mut UploadSlot, body: Body, idle: Option<&IdleTimer>) -> 
         if let Some(idle) = idle {
             idle.touch();
         }
-        // A page's piece is small: writing it keeps nobody waiting.
+        // A page's piece is small, so writing it blocks only briefly.
         file.write_all(&bytes).map_err(|error| disk(&error))?;
     }
     file.flush().map_err(|error| disk(&error))

@@ -1,4 +1,4 @@
-//! A job's work: the same calls in the same order as the commands `analyze` and `gap` make.
+//! A job's work: the same calls in the same order as in the commands `analyze` and `gap`.
 
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::sync::Arc;
@@ -27,13 +27,13 @@ use stiction_engine::analysis::{self, Answer, Points, Scored, Section, text};
 use stiction_engine::config::Config;
 use stiction_files::LoadedLoop;
 
-/// Name in documents of a model that came with the request.
+/// Name, in documents, of a model that came with the request.
 const GIVEN: &str = "given model";
 
-/// Does a job to its end, or until it is cancelled.
+/// Runs a job to the end, or until it is cancelled.
 ///
 /// # Errors
-/// What keeps it from an answer, with the remedy.
+/// Why there is no answer, with the remedy.
 pub fn run(job: &Job, shelf: &Shelf) -> Result<(), Fault> {
     let asked = &job.task.request;
     job.change(|made| made.progress.words = "reading the file".to_owned());
@@ -48,7 +48,7 @@ pub fn run(job: &Job, shelf: &Shelf) -> Result<(), Fault> {
     }
 }
 
-/// One loop and what is done with it.
+/// One loop, and the job on it.
 struct Bench<'b> {
     job: &'b Job,
     one: &'b LoadedLoop,
@@ -72,7 +72,7 @@ impl<'b> Bench<'b> {
         step
     }
 
-    /// A section in words, with its place among several.
+    /// A section in words, with its number if there are several.
     fn called(&self, at: usize) -> String {
         let sections = &self.job.task.sections;
         let section = sections[at].words();
@@ -80,7 +80,7 @@ impl<'b> Bench<'b> {
         if sections.len() > 1 { format!("section {} of {}: {section}", at + 1, sections.len()) } else { section }
     }
 
-    /// Estimates first, so that the numbers are there early; pictures and reports after.
+    /// Estimates first, so that the numbers appear early; then pictures and reports.
     fn analyze(&self, input: &str) -> Result<(), Fault> {
         let task = &self.job.task;
         let runs = task.request.model.runs();
@@ -101,7 +101,7 @@ impl<'b> Bench<'b> {
                         maker.add(answer.document, looked_at);
                         self.job.change(|made| made.results.push(found));
                     }
-                    // One section that cannot be analysed does not keep the others from their answers.
+                    // A section that cannot be analysed does not stop the others.
                     Err(fault) if sections > 1 => {
                         self.job.change(|made| made.results.push(failed(self.called(at), Some(run.word()), &fault)));
                         first.get_or_insert(fault);
@@ -165,7 +165,7 @@ impl<'b> Bench<'b> {
         Ok((answer, looked_at, section))
     }
 
-    /// Result of the solver that was asked for.
+    /// Result of the requested solver.
     fn solve(&self, found: &Estimated, place: [usize; 2], words: &str) -> Option<SolverDocument> {
         let asked = &self.job.task.request;
         let name = asked.solver.as_deref()?;
@@ -189,7 +189,7 @@ impl<'b> Bench<'b> {
         Some(solver::document(name, &solved, &mut surface, &settings, found, estimate_mse, elapsed_ms))
     }
 
-    /// Pictures and page of one run's results.
+    /// Pictures and page for one run's results.
     fn draw(&self, run: Model, report: &Report) -> Result<(), Fault> {
         let page = Arc::new(page(report).map_err(undrawn)?);
         let drawn = report.loops.iter().map(|one| figures::detailed(&subject(one))).collect::<Result<Vec<_>, _>>();
@@ -282,7 +282,7 @@ const fn said(run: Model) -> &'static str {
     }
 }
 
-/// A section without an answer, and why.
+/// A section without an answer, with the reason.
 fn failed(section: String, model: Option<&'static str>, fault: &Fault) -> SectionResult {
     SectionResult { section, model, notes: vec![fault.text().to_owned()], ..SectionResult::default() }
 }
@@ -324,7 +324,7 @@ fn pictures(result: usize, figures: Vec<Figure>, order: Option<u8>) -> Vec<Drawn
     figures.into_iter().enumerate().map(drawn).collect()
 }
 
-/// An estimate as a report puts it.
+/// An estimate in words, as in a report.
 fn in_words(a: &Assessment) -> Vec<Said> {
     let mut said = vec![Said { about: "Verdict", text: words::headline(a) }];
     if let Some(size) = words::size(a).filter(|_| a.stiction == Some(true)) {

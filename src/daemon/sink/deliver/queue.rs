@@ -22,7 +22,7 @@ pub(super) enum Next {
 /// The attempts to send a document so far.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Tried {
-    /// Number of failed attempts.
+    /// Number of attempts.
     pub sent: u32,
     /// How often the receiver refused it for now, and the first time.
     pub refused: u32,
