@@ -1,5 +1,5 @@
-//! From what the search found to the candidate that is reported: the class that earns its lags, and the error whose residual
-//! is as white as a first-order filter makes it.
+//! From the search's candidates to the reported one: selects the class by held-out error, and the filter that makes the
+//! residual as white as a first-order filter can.
 
 use super::candidate::{Candidate, apart};
 use super::classes::classes_of;
@@ -14,28 +14,28 @@ use crate::core::ident::slip_search::evaluator::{Evaluator, Polished};
 use crate::core::signal::stats;
 use serde::{Deserialize, Serialize};
 
-/// Share of the error on data not fitted to that a second lag must remove to stay in the answer.
+/// Share by which a second lag must reduce the held-out error to stay in the answer.
 pub(crate) const EARNED: f64 = 0.01;
-/// Share of a record that the held-out fit is made to.
+/// Share of a record that the held-out fit uses.
 pub(crate) const FITTED_SHARE: f64 = 0.6;
-/// Lag-1 autocorrelation of a residual from which it is filtered, and the strongest filter.
+/// Lag-1 autocorrelation of a residual from which the error is filtered, and the strongest filter.
 const COLOURED: f64 = 0.2;
 const MOST_RHO: f64 = 0.98;
-/// Change of the filter that the residual asks for after which the answer is looked for again.
+/// Change of the filter implied by the residual from which the search for the answer is repeated.
 const OTHER_FILTER: f64 = 0.1;
-/// Error over the answer's up to which another candidate takes its place.
+/// Error relative to the answer's below which another candidate replaces it.
 const BETTER: f64 = 0.98;
-/// Candidates refitted to the filtered error, those that go on, random steps for the first of them and for the others.
+/// Candidates refitted to the filtered error, how many of them continue, random steps for the first and for the others.
 const REFITTED: usize = 12;
 const FOLLOWED: usize = 4;
 const STEPS: [usize; 2] = [60, 24];
-/// Index from which the record says enough of the friction to ask for rivals and for the residual's filter.
+/// Stiction index from which the record shows enough friction to refit rivals and to filter the residual.
 const LEAST_INDEX: f64 = 0.1;
-/// Lag over the record's length from which the record hardly shows where PV would settle, and the error over the lag's up
-/// to which an integrator is as good.
+/// Ratio of lag to record length from which the record hardly shows where PV would settle, and the largest ratio of an
+/// integrator's error to the lag's at which the integrator is as good.
 const NO_END: f64 = 0.25;
 const AS_GOOD: f64 = 1.01;
-/// s in spans of OP from which an index counts in full: smaller bands are within what noise and rounding imitate.
+/// s in spans of OP from which an index counts in full: noise and rounding imitate smaller bands.
 pub(crate) const FULL_WEIGHT: f64 = 0.2;
 
 /// What settled the order of the process.
@@ -66,30 +66,30 @@ pub struct OrderChoice {
 /// The candidate to report.
 #[derive(Debug, Clone)]
 pub struct Answer {
-    /// Fitted to the error behind `1 - rho q^-1`.
+    /// Fitted to the error filtered by `1 - rho q^-1`.
     pub candidate: Candidate,
-    /// Filter of that error, 0 where the residual is white as it is.
+    /// Filter of that error; 0 if the residual is white without one.
     pub rho: f64,
-    /// The best by the plain error, of the same law and class, polished.
+    /// The best process by the plain error, of the same law and class, with time constants off the lattice.
     pub plain: Polished,
-    /// The same slips' squared plain error.
+    /// Squared plain error of the filtered candidate's slips.
     pub plain_sse: f64,
     /// Squared plain error without friction, same class.
     pub without: f64,
-    /// Candidates with other bands, fitted as `candidate` is; none where the residual is white.
+    /// Candidates with other bands, fitted like `candidate`; empty if the residual is white.
     pub rivals: Vec<Candidate>,
-    /// How its order was chosen; errors in standard deviations of PV.
+    /// How the order was chosen; errors in standard deviations of PV.
     pub order: OrderChoice,
 }
 
-/// Share of an error that goes with the friction, 0..1.
+/// Share of an error that friction removes, 0..1.
 #[must_use]
 pub(crate) fn improvement(with: f64, without: f64) -> f64 {
     if without > 0.0 { (1.0 - with / without).clamp(0.0, 1.0) } else { 0.0 }
 }
 
 impl Answer {
-    /// Share of the plain error that goes with the friction.
+    /// Share of the plain error that friction removes.
     #[must_use]
     pub(crate) fn index(&self) -> f64 {
         improvement(self.plain.sse, self.without)
@@ -97,7 +97,7 @@ impl Answer {
 }
 
 impl Search<'_, '_> {
-    /// The answer for the best candidate of one law; `None` where it has no process.
+    /// The answer for the best candidate of one law; `None` if it has no process.
     pub(crate) fn answer(&mut self, best: Candidate, found: &Found, options: &Options) -> Option<Answer> {
         let Options { model, seed, .. } = *options;
         let rich = best;
@@ -131,7 +131,7 @@ impl Search<'_, '_> {
         Some(answer)
     }
 
-    /// Refits the other candidates as the answer is fitted; the one that leaves less than the answer takes its place.
+    /// Refits the other candidates like the answer; one with a clearly smaller error replaces it.
     fn weigh_rivals(&mut self, answer: &mut Answer, found: &Found) {
         let (evaluator, plain) = self.whole();
         let mut view =
@@ -150,8 +150,8 @@ impl Search<'_, '_> {
         }
     }
 
-    /// The candidate with an integrator where its lag is so long that the record does not show where PV would settle, and
-    /// an integrator explains it as well: of such a lag neither gain nor time constant is known, only their ratio.
+    /// Replaces the lag by an integrator if the lag is so long that the record does not show where PV would settle, and the
+    /// integrator explains the record as well: only the ratio of gain and time constant is identified then.
     fn without_an_end(&mut self, of: Candidate, options: &Options, rho: f64) -> Candidate {
         let class = match of.class {
             Class::First => Class::Integrating,
@@ -170,8 +170,7 @@ impl Search<'_, '_> {
         if other.fit.gain != 0.0 && other.sse() <= AS_GOOD * lag.sse() { other } else { of }
     }
 
-    /// The candidate without its second lag where that does not earn its place on data that it was not fitted to, by the
-    /// error behind `1 - rho q^-1`.
+    /// Drops the second lag unless it earns its place on held-out data, by the error filtered with `1 - rho q^-1`.
     fn earned(&mut self, rich: Candidate, model: ModelChoice, rho: f64) -> Option<(Candidate, OrderChoice)> {
         let by = |by: OrderBy| OrderChoice { by, held_out_rms: None, rho };
         let simpler = match (model, rich.class) {
@@ -186,7 +185,7 @@ impl Search<'_, '_> {
         let Some(poor) = evaluator.in_class(&mut view, &rich, simpler).filter(|c| c.fit.gain != 0.0) else {
             return Some((rich, by(OrderBy::Search)));
         };
-        // Neighbours may be the simpler model's own best slips.
+        // The simpler model may have its best slips in a neighbouring cell.
         let near = Nearness::USUAL;
         let poor = neighbours(evaluator, &mut view, poor, 2, near);
         let of_rich = held_out(evaluator, rho, &rich);
@@ -195,8 +194,8 @@ impl Search<'_, '_> {
         Some((if of_rich > (1.0 - EARNED) * of_poor { poor } else { rich }, order))
     }
 
-    /// What a disturbance adds to PV stays in the residual from sample to sample; with the residual's own first-order filter
-    /// in front of the error (as in generalised least squares, Cochrane and Orcutt 1949) it weighs as noise does.
+    /// A disturbance of PV persists in the residual from sample to sample. Filtering the error by the residual's own
+    /// first-order model (generalised least squares, Cochrane and Orcutt 1949) gives it no more weight than noise.
     fn whiten(&mut self, answer: &mut Answer, best: Candidate, rivals: &[Candidate], rho: f64, seed: u64) {
         let near = Nearness::USUAL;
         let mut rng = seeded_rng(seed, 5);
@@ -232,7 +231,7 @@ impl Search<'_, '_> {
             if process.sse < answer.plain.sse {
                 answer.plain = process;
             }
-            // The right slips leave another residual, which may ask for another filter.
+            // The right slips leave another residual, which may need another filter.
             let next = stats::autocorrelation_1(&evaluator.residual(plain, &again, &process));
             if (next - rho).abs() <= OTHER_FILTER {
                 return;
@@ -242,8 +241,8 @@ impl Search<'_, '_> {
     }
 }
 
-/// Mean squared error, behind `1 - rho q^-1`, on what follows the first [`FITTED_SHARE`] of the record when the process is
-/// fitted to that part alone.
+/// Mean squared error, filtered by `1 - rho q^-1`, after the first [`FITTED_SHARE`] of the record, with the process fitted to
+/// that first part alone.
 pub(crate) fn held_out(evaluator: &mut Evaluator<'_>, rho: f64, of: &Candidate) -> f64 {
     let (from, points) = (evaluator.problem.normalised.from.max(1), evaluator.points);
     let fitted = (FITTED_SHARE * (points - from) as f64) as usize;
@@ -255,7 +254,7 @@ pub(crate) fn held_out(evaluator: &mut Evaluator<'_>, rho: f64, of: &Candidate) 
     later.iter().map(|e| e * e).sum::<f64>() / later.len().max(1) as f64
 }
 
-/// The same over what PV has there without any model.
+/// The same error relative to PV's own mean square there.
 #[must_use]
 pub(crate) fn held_out_share(evaluator: &mut Evaluator<'_>, rho: f64, of: &Candidate) -> f64 {
     let error = held_out(evaluator, rho, of);
@@ -267,7 +266,7 @@ pub(crate) fn held_out_share(evaluator: &mut Evaluator<'_>, rho: f64, of: &Candi
     error / (deviation * deviation)
 }
 
-/// The view that an answer was fitted to.
+/// The view to which an answer was fitted.
 #[must_use]
 pub(crate) fn view_of(search: &mut Search<'_, '_>, answer: &Answer) -> View {
     let (evaluator, plain) = search.whole();

@@ -1,4 +1,4 @@
-//! Many fits near one process: the surroundings of an answer, for its interval.
+//! Many fits near one process: explores the surroundings of an answer, for its interval.
 
 use super::candidate::Candidate;
 use super::evaluator::{Evaluator, Polished};
@@ -7,15 +7,15 @@ use crate::core::ident::evaluator::{LATTICE_STEP, Table, View, lattice_index};
 use crate::core::ident::kinetic_band::{BandProfile, Freedom};
 use crate::core::ident::normalised::Start;
 
-/// Tables of time constants at and a little beside those of a process, for many fits nearby.
+/// Tables of time constants at and slightly beside those of a process, for many fits nearby.
 #[derive(Debug, Clone)]
 pub struct Around {
-    /// At the process' own, then the first one longer and shorter, then the second.
+    /// At the process's own time constants, then with the first one longer and shorter, then the second.
     tables: Vec<Table>,
     class: Class,
 }
 
-/// How far beside, in steps of the lattice.
+/// Distance of the neighbouring time constants, in steps of the lattice.
 const BESIDE: f64 = 0.5;
 
 impl Evaluator<'_> {
@@ -31,8 +31,8 @@ impl Evaluator<'_> {
         Around { tables, class: self.class }
     }
 
-    /// A candidate whose time constants stay near those of `around`: its error is that of the best of them, read from a
-    /// quadratic model, where it lies below `enough` as it is.
+    /// A candidate whose time constants stay near those of `around`. If its error at the centre is below `enough`, the error is
+    /// that of the best time constants by a quadratic model.
     pub(crate) fn fit_around(
         &mut self,
         view: &View,
@@ -63,15 +63,15 @@ impl Evaluator<'_> {
         Some(self.candidate([s, j], start, fit))
     }
 
-    /// A candidate's squared error against fd, its slips, time constants and lag held, and the band of fd that its slips
-    /// allow.
+    /// A candidate's squared error as a function of fd, with slips, time constants and lag fixed, and the range of fd that its
+    /// slips allow.
     pub(crate) fn profile(&mut self, view: &View, around: &Around, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
         let freedom = self.slip(of.s, of.j, of.start)?;
         let reduced = self.reduced(view, around.pair([0, 0]), of.fit.delay);
         Some((BandProfile::new(reduced.system(of.fit.fraction), reduced.rest), freedom.fd))
     }
 
-    /// By how much the standard error of fd grows when time constants and lag are free too, at least 1.
+    /// Factor by which the standard error of fd grows when time constants and lag are free too, at least 1.
     pub(crate) fn band_stretch(&mut self, view: &View, of: &Candidate, process: &Polished) -> f64 {
         let Some(freedom) = self.slip(of.s, of.j, of.start) else { return 1.0 };
         let width = 0.05 * of.s;
@@ -102,8 +102,8 @@ impl Around {
     }
 }
 
-/// Least value of the quadratic model through a value, those to either side in two directions, and the mixed difference;
-/// the least of the values where it has none.
+/// Minimum of the quadratic model through a value, its neighbours in two directions and the mixed difference; the least of the
+/// values if the model has no minimum.
 fn below(value: f64, sides: [[f64; 2]; 2], cross: f64) -> f64 {
     let least = sides.iter().flatten().fold(value, |m, x| m.min(*x));
     if !sides.iter().flatten().all(|x| x.is_finite()) {
@@ -119,6 +119,6 @@ fn below(value: f64, sides: [[f64; 2]; 2], cross: f64) -> f64 {
     } else {
         alone(0).max(alone(1))
     };
-    // Beyond a few steps the model is not to be trusted.
+    // Beyond a few steps the model cannot be trusted.
     least.min((value - gain).max(0.9 * least))
 }

@@ -1,4 +1,4 @@
-//! One candidate of the search: bands, first slip, and the process that fits best behind the slips they make.
+//! One candidate of the search: bands, first slip, and the best process for the resulting slips.
 
 use crate::core::ident::class::Class;
 use crate::core::ident::evaluator::lattice_tau;
@@ -18,11 +18,11 @@ pub struct Candidate {
     pub j: f64,
     /// First slip.
     pub start: Start,
-    /// Values of s, then of j, that give the same slips.
+    /// Ranges of s, then of j, that give the same slips.
     pub cells: [[f64; 2]; 2],
     /// Moves of the stem.
     pub slips: usize,
-    /// Changes of its direction.
+    /// Reversals of the stem.
     pub reversals: usize,
     /// The process model.
     pub fit: LatticeFit,
@@ -31,22 +31,22 @@ pub struct Candidate {
 /// A process fitted with its time constants on the lattice.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LatticeFit {
-    /// Squared error of the view it was fitted to.
+    /// Squared error in the view to which it was fitted.
     pub sse: f64,
-    /// Coefficient of the unit response; 0 where no gain of the asked sign helps.
+    /// Coefficient of the unit response; 0 if no gain of the requested sign helps.
     pub gain: f64,
     /// Kinetic band.
     pub fd: f64,
-    /// Places of the time constants on the lattice, the larger first; those that the class lacks have no meaning.
+    /// Lattice indices of the time constants, the larger first; meaningless if the class lacks them.
     pub places: [i32; 2],
-    /// Whole points of the lag, and what is left of it, 0..1.
+    /// Whole points of the lag, and its fraction, 0..1.
     pub delay: usize,
     /// See `delay`.
     pub fraction: f64,
 }
 
 impl LatticeFit {
-    /// Dead time and the sample that a held signal takes to act, points.
+    /// Dead time plus the sample that a held signal takes to act, points.
     #[must_use]
     pub(crate) fn lag(&self) -> f64 {
         self.delay as f64 + self.fraction
@@ -54,7 +54,7 @@ impl LatticeFit {
 }
 
 impl Candidate {
-    /// Whether (s, j) with the same start makes the same slips.
+    /// Whether (s, j) with the same start gives the same slips.
     #[must_use]
     pub(crate) fn covers(&self, s: f64, j: f64, start: Start) -> bool {
         let within = |[low, high]: [f64; 2], x: f64| low <= x && x < high;
@@ -73,14 +73,14 @@ impl Candidate {
         self.fit.places.map(lattice_tau)
     }
 
-    /// Whether two candidates stand too near to each other to be kept both.
+    /// Whether two candidates are too similar to keep both.
     fn is_near(&self, other: &Self) -> bool {
         self.law == other.law && (self.s / other.s - 1.0).abs() <= 0.012 && (self.j - other.j).abs() <= 0.05 * other.s
     }
 }
 
-/// The best candidates that stand apart, best first: `overall` of them by error, then `each` of every third of j / s, without
-/// which models that slip at every sample would fill the list.
+/// The best candidates that differ clearly, best first: `overall` by error, then `each` from every third of j / s; otherwise
+/// models that slip at every sample would fill the list.
 #[must_use]
 pub(crate) fn apart(pool: &[Candidate], overall: usize, each: usize) -> Vec<Candidate> {
     let mut order: Vec<&Candidate> = pool.iter().filter(|c| c.fit.gain != 0.0).collect();

@@ -1,4 +1,4 @@
-//! The class of process that slips ask for: how many lags, and whether it integrates.
+//! Selects the class of process that the slips need: how many lags, and whether it integrates.
 
 use super::candidate::{Candidate, apart};
 use super::evaluator::Evaluator;
@@ -9,17 +9,17 @@ use crate::core::ident::choice::ModelChoice;
 use crate::core::ident::class::Class;
 use crate::core::ident::evaluator::View;
 
-/// Share of the error that a second lag must remove to be taken in the search.
+/// Share of the error that a second lag must remove to be used in the search.
 const SECOND_LAG: f64 = 0.03;
-/// The same for another class of no more lags.
+/// The same for another class with no more lags.
 const ANOTHER: f64 = 0.03;
-/// Relative errors up to which an integrator takes the place of a lag, by the filtered and by the plain error.
+/// Relative errors up to which an integrator replaces a lag, by the filtered and by the plain error.
 const INTEGRATOR: [f64; 2] = [1.005, 1.01];
-/// Shares of the filtered and of the plain error that a second lag must remove to be searched with.
+/// Shares of the filtered and of the plain error that a second lag must remove for the search to continue with it.
 const PROMISE: [f64; 2] = [0.002, 0.02];
 /// Candidates by which the class is judged.
 const JUDGES: usize = 2;
-/// How far along the ridge (share of s), and in how many steps to a side, where another class was taken.
+/// How far along the ridge (share of s), and in how many steps per side, the search looks after a change of class.
 pub(super) const FAR_ALONG: (f64, usize) = (0.3, 40);
 
 pub(super) const fn index_of(class: Class) -> usize {
@@ -41,7 +41,7 @@ pub(crate) const fn classes_of(model: ModelChoice) -> &'static [Class] {
     }
 }
 
-/// The class itself where the model allows it, else the one that takes its place.
+/// The class itself if the model allows it, else its replacement.
 pub(super) const fn allowed(model: ModelChoice, class: Class) -> Class {
     match (model, class) {
         (ModelChoice::Sopdt, Class::First) => Class::Second,
@@ -52,7 +52,7 @@ pub(super) const fn allowed(model: ModelChoice, class: Class) -> Class {
     }
 }
 
-/// The candidate in the class that suits its slips best on the whole record; its own unless another is clearly better.
+/// The candidate in the class that suits its slips best on the whole record; its own class unless another is clearly better.
 pub(super) fn suited(model: ModelChoice, whole: &mut Evaluator<'_>, plain: &mut View, own: Candidate) -> Candidate {
     let mut best = own;
     for &class in classes_of(model) {
@@ -68,7 +68,7 @@ pub(super) fn suited(model: ModelChoice, whole: &mut Evaluator<'_>, plain: &mut 
     best
 }
 
-/// The class that the best of the part ask for, by filtered and by plain errors; the held candidates go there.
+/// Chooses the class by the filtered and the plain errors of the best candidates of the part, and converts the held candidates.
 pub(super) fn choose_class<'a>(
     problem: &'a Problem<'a>,
     model: ModelChoice,
@@ -107,7 +107,7 @@ pub(super) fn choose_class<'a>(
             .collect();
         next.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
         for c in next.iter_mut().take(JUDGES) {
-            // What stood for the second lag was a wrong s: the right one lies along the ridge.
+            // A wrong s imitated the second lag: the right one is along the ridge.
             let (reach, places) = FAR_ALONG;
             let found = along_ridge(&mut part.evaluator, &mut part.view, c, reach, places);
             *c = found.first().copied().unwrap_or(*c);

@@ -1,60 +1,61 @@
-//! The coarse scan: a valve signal against eight first-order lags and many dead times at once.
+//! The coarse scan: fits a valve signal with eight first-order lags and many dead times at once.
 //!
-//! The same stretch of OP is counted for every dead time, PV's slides past it: so the products of the answers with each
-//! other are gathered once, in a walk over the steps, and only those with PV change from one dead time to the next.
+//! All dead times use a stretch of OP of the same length, and PV's stretch slides past it. So the products of the responses
+//! with each other are computed once, in one pass over the steps; only the products with PV change with the dead time.
 
-// Lanes and halves are places of several arrays at once.
+// Lane and half indices address several arrays at once.
 #![allow(clippy::needless_range_loop)]
 
 use super::problem::Problem;
 use crate::core::ident::kinetic_band::{Freedom, best_band};
 use crate::core::sim::steps::Step;
 
-/// Time constants side by side.
+/// Time constants evaluated in parallel.
 const LANES: usize = 8;
-/// The same in periods; the last one stands for an integrator.
+/// Time constants in periods; the last one represents an integrator.
 const TAUS: [f64; LANES] = [0.004, 0.02, 0.05, 0.11, 0.25, 0.6, 2.0, f64::INFINITY];
-/// Longest dead time, points, from which the longer ones are scanned apart.
+/// Dead time, points, above which dead times are scanned separately.
 const LONG_DEAD_TIME: usize = 30;
-/// Share of its square below which a decay is no column of its own.
+/// Share of its square below which a decay is no independent column.
 const DEPENDENT: f64 = 1e-9;
-/// Share of the product of their squares from which two halves of a valve signal are columns apart.
+/// Share of the product of their squares from which the two halves of a valve signal are independent columns.
 const INDEPENDENT: f64 = 1e-6;
-/// Power of a decay below which it counts as nothing.
+/// Power of a decay below which it is negligible.
 const NOTHING: f64 = 1e-150;
 
 type Lanes = [f64; LANES];
 
-/// The scan of one stretch of a record behind one filter.
+/// The scan of one stretch of a record with one filter.
 #[derive(Debug, Clone)]
 pub(crate) struct CoarseScan {
     rho: f64,
     taus: Lanes,
     a: Lanes,
-    /// Share of the answer that is still to come at the sample of a step, half a sample being dead time.
+    /// Share of a step's response still to come at the sample of the step; half a sample counts as dead time.
     late: Lanes,
     /// `1 / (1 - a)` and `1 / (1 - a a)`.
     inverse: Lanes,
     squared: Lanes,
-    /// Sum of the memory over the points that count, and one over what the mean leaves of its square; 0 where that is nothing.
+    /// Sum of the memory over the counted points, and the reciprocal of its square without the mean; 0 if the memory is
+    /// negligible.
     one_memory: Lanes,
     pivot: Lanes,
     powers: Vec<Lanes>,
-    /// Products of PV from each point on with the answer to a step there, and with the decay that starts there.
+    /// Products of PV from each point on with the response to a step there, and with a decay that starts there.
     with_step: Vec<Lanes>,
     with_decay: Vec<Lanes>,
     /// Sums of filtered PV from each point on, and of its squares.
     sums: Vec<[f64; 2]>,
     delays: Vec<usize>,
-    /// First point of OP that counts, and how many do.
+    /// First point of OP that counts, and the number of such points.
     from: usize,
     length: usize,
 }
 
-/// The best that the scan makes of one valve signal.
+/// The best fit that the scan finds for one valve signal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seen {
-    /// Share of PV's squares that is left.
+    /// Share of PV's squares left unexplained.
     pub share: f64,
     /// Time constant, points.
     pub tau: f64,
@@ -62,7 +63,7 @@ pub struct Seen {
     pub lag: f64,
 }
 
-/// Whole delays from the least to the greatest, ever farther apart.
+/// Whole delays from the least to the greatest, with growing distances.
 fn delays([least, most]: [f64; 2]) -> Vec<usize> {
     let [least, most] = [least as usize, most as usize];
     let grow = if most > 40 { 4 } else { 6 };
@@ -74,15 +75,15 @@ fn delays([least, most]: [f64; 2]) -> Vec<usize> {
 }
 
 impl CoarseScan {
-    /// Scans of the first `points` of a record by the error behind `1 - rho q^-1`: the second one for long dead times, where
-    /// they would leave little of a record that is counted for all alike.
+    /// Scans of the first `points` of a record by the error filtered with `1 - rho q^-1`. Long dead times get a second scan:
+    /// all delays of one scan use the same number of points, and the longest would leave few.
     #[must_use]
     pub(crate) fn of(problem: &Problem<'_>, rho: f64, points: usize) -> Vec<Self> {
         Self::of_filtered(problem, [rho; 2], points)
     }
 
-    /// The same for a process with one lag more, `tau` points long: what is left of PV where that lag is undone,
-    /// `pv - a pv(-1)` with its decay `a`, is the answer of a single lag.
+    /// The same for a process with an additional lag of `tau` points: undoing that lag in PV, `pv - a pv(-1)` with its decay
+    /// `a`, leaves the response of a single lag.
     #[must_use]
     pub(crate) fn behind_lag(problem: &Problem<'_>, tau: f64, points: usize) -> Vec<Self> {
         Self::of_filtered(problem, [libm::exp(-1.0 / tau), 0.0], points)
@@ -96,7 +97,7 @@ impl CoarseScan {
         halves.into_iter().filter(|d| !d.is_empty()).map(|d| Self::new(problem, filters, points, d.to_vec())).collect()
     }
 
-    /// `filters` are those of PV and of the answers.
+    /// `filters` apply to PV and to the responses.
     fn new(problem: &Problem<'_>, [of_pv, rho]: [f64; 2], points: usize, delays: Vec<usize>) -> Self {
         let (from, most) = (1, delays.iter().copied().max().unwrap_or(0));
         let length = points.saturating_sub(from + most).max(1);
@@ -170,7 +171,8 @@ impl CoarseScan {
         let own = self.own(steps, end);
         let mut best = Seen { share: f64::INFINITY, tau: self.taus[0], lag: 0.0 };
         let mut at = 0;
-        // The error hardly changes from one dead time to the next but one; beside the best both are asked.
+        // The error changes little between neighbouring dead times, so every second one is evaluated, then both neighbours of
+        // the best.
         for which in (0..self.delays.len()).step_by(2) {
             if self.look_at(which, steps, end, &own, freedom, &mut best) {
                 at = which;
@@ -184,7 +186,7 @@ impl CoarseScan {
         best
     }
 
-    /// The best time constant at one dead time; whether it is better than what was seen.
+    /// The best time constant at one dead time; returns whether it improves on `best`.
     #[inline(always)]
     fn look_at(&self, which: usize, steps: &[Step], end: usize, own: &Own, freedom: &Freedom, best: &mut Seen) -> bool {
         let delay = self.delays[which];
@@ -206,12 +208,12 @@ impl CoarseScan {
         let mean = sum * one;
         let (decay_start, decay_stop) = (&self.with_decay[start], &self.with_decay[stop]);
         let (mut rest, mut at_most) = ([0.0; LANES], [0.0; LANES]);
-        // No branch in here, so that lanes go side by side.
+        // Branch-free, so that the lanes are vectorised.
         for l in 0..LANES {
             let memory = decay_start[l] - end_power[l] * decay_stop[l] - self.one_memory[l] * mean;
             let taken = memory * self.pivot[l];
             rest[l] = total - memory * taken;
-            // What the answers do beyond the stretch that counts comes off.
+            // Subtract what the responses do beyond the counted stretch.
             level[l] += own.decay[0][l] * decay_stop[l]
                 - own.level[0] * beyond
                 - own.sum[0][l] * mean
@@ -240,11 +242,11 @@ impl CoarseScan {
         best.share < before
     }
 
-    /// Products of the answers with each other, the same for every dead time.
+    /// Products of the responses with each other, the same for every dead time.
     ///
-    /// Level `l` and decay `c` (states before a sample) go on as `l + step` and `a c + step`, so sums of their products follow
-    /// from sums over the steps alone: `(1 - a a) sum(c c) = 2 a sum(c step) + sum(step step) - c c` at the end, and so on.
-    /// The answer behind the filter is `(1 - rho) l - late (a - rho) c + (1 - late) step`.
+    /// Level `l` and decay `c` (states before a sample) update as `l + step` and `a c + step`, so sums of their products follow
+    /// from sums over the steps alone: `(1 - a a) sum(c c) = 2 a sum(c step) + sum(step step) - c c` at the end, and so on. The
+    /// filtered response is `(1 - rho) l - late (a - rho) c + (1 - late) step`.
     #[inline(always)]
     fn own(&self, steps: &[Step], end: usize) -> Own {
         let walk = self.walk(steps, end);
@@ -293,7 +295,7 @@ impl CoarseScan {
         out
     }
 
-    /// The way over the steps.
+    /// One pass over the steps.
     #[inline(always)]
     fn walk(&self, steps: &[Step], end: usize) -> Walked {
         let mut out = Walked::default();
@@ -318,7 +320,7 @@ impl CoarseScan {
                 }
                 out.total[h] += by[h];
                 out.level[h] += by[h];
-                // Before this sample, and before each one up to the next step.
+                // Before this sample, and before each sample up to the next step.
                 out.level_one[h] += out.level[h] * count + before[h];
             }
             for (h, g) in [(0, 0), (0, 1), (1, 1)] {
@@ -330,7 +332,7 @@ impl CoarseScan {
     }
 }
 
-/// A look by the widest lanes that the processor has: the same figures to the last bit.
+/// A look with the widest vector lanes of the processor; results are identical to the last bit.
 struct Look<'l> {
     scan: &'l CoarseScan,
     steps: &'l [Step],
@@ -349,22 +351,22 @@ impl pulp::NullaryFnOnce for Look<'_> {
 /// Sums over the steps of both halves of a valve signal; products of halves in the order 00, 01, 11 or as `[one][other]`.
 #[derive(Default)]
 struct Walked {
-    /// Where level and decays end.
+    /// Final level and decays.
     level: [f64; 2],
     decay: [Lanes; 2],
-    /// Steps with each other, all of them, with the memory that begins at the first point.
+    /// Products of steps with each other, their sum, and their products with the memory that begins at the first point.
     steps: [f64; 3],
     total: [f64; 2],
     memory: [Lanes; 2],
-    /// Level and decays before a step with it: `[level or decay][step]`.
+    /// Products of level and decays before a step with the step: `[level or decay][step]`.
     level_steps: [[f64; 2]; 2],
     with_steps: [Lanes; 4],
-    /// Levels before each sample with each other, and all of them.
+    /// Products of the levels before each sample with each other, and the sum of the levels.
     level_level: [f64; 3],
     level_one: [f64; 2],
 }
 
-/// Sums over the answers of both halves of a valve signal, constant and memory taken out, and where they end.
+/// Sums over the responses of both halves of a valve signal, without constant and memory, and their final states.
 #[derive(Default)]
 struct Own {
     power: [Lanes; 3],
@@ -372,8 +374,8 @@ struct Own {
     memory: [Lanes; 2],
     decay: [Lanes; 2],
     level: [f64; 2],
-    /// One over the determinant of the powers: by it follows the most that gain and kinetic band can explain, both free of
-    /// any bound; not a number where the halves are no columns apart, so that no look is spared.
+    /// Reciprocal of the determinant of the powers. It bounds what gain and kinetic band can explain without any constraint;
+    /// NaN if the halves are not independent columns, so that no look is skipped.
     inverse: Lanes,
 }
 

@@ -9,19 +9,19 @@ use crate::core::ident::random::seeded_rng;
 use rand_chacha::ChaCha8Rng;
 use std::ops::Range;
 
-/// Rounds through the neighbours of a candidate on the whole record.
+/// Rounds through a candidate's neighbours on the whole record.
 const ROUNDS: usize = 6;
-/// Purpose of the draws on the whole record, before the number of the cut.
+/// Purpose of the random draws on the whole record; the number of the cut is added.
 const PURPOSE: u64 = 40;
 
 impl Search<'_, '_> {
-    /// Whether cuts are worth a search: every point counts, and friction explains part of the error.
+    /// Whether searching cuts is worthwhile: every point counts, and friction explains part of the error.
     pub(super) fn shows_friction(&mut self) -> bool {
         let least = self.best_sse();
         self.problem.counted.is_empty() && least <= (1.0 - self.settings.worth_a_round) * self.without(Class::First)
     }
 
-    /// Searches cuts until a candidate leaves nothing but noise on the whole record; whether one does.
+    /// Searches cuts until a candidate leaves only noise on the whole record; returns whether one does.
     pub(super) fn search_cuts(&mut self) -> bool {
         let cuts = self.settings.cuts;
         let n = self.problem.points();
@@ -33,7 +33,8 @@ impl Search<'_, '_> {
         self.found.is_noise
     }
 
-    /// Searches one cut. Continues on the whole record where that left nothing but noise; whether that does, too.
+    /// Searches one cut. If the result leaves only noise, continues on the whole record; returns whether it leaves only noise
+    /// there, too.
     fn search_cut(&mut self, number: u64, points: Range<usize>) -> bool {
         let cut = self.problem.normalised.cut(points);
         let problem = Problem::new(&cut, self.problem.sign);
@@ -46,7 +47,7 @@ impl Search<'_, '_> {
         of_cut.is_noise && of_cut.best.iter().any(|candidate| self.continue_on_whole(candidate, &mut rng))
     }
 
-    /// Continues a candidate of a cut on the whole record, whose first slip is another; whether it leaves nothing but noise.
+    /// Continues a cut's candidate on the whole record, where its first slip differs; returns whether it leaves only noise.
     fn continue_on_whole(&mut self, of_cut: &Candidate, rng: &mut ChaCha8Rng) -> bool {
         let near = self.settings.near;
         let (evaluator, view) = (&mut self.whole, &mut self.plain);

@@ -10,19 +10,19 @@ use crate::core::ident::normalised::Start;
 use crate::core::sim::slips::{Law, Stem};
 use crate::core::sim::steps::Steps;
 
-/// Whole points that the lag goes on from where it was asked for, at most.
+/// Most whole points by which the lag moves from its start.
 const HOPS: usize = 12;
-/// Walks over the lattice that go on at the same width.
+/// Walks over the lattice repeated at the same width.
 const SAME_WIDTH: usize = 3;
-/// Most by which a lag gives way to time constants in one step, points.
+/// Largest change of the lag, points, in exchange for time constants in one step.
 const MOST_TRADED: f64 = 3.0;
-/// Least place of a time constant on the lattice: 0.3 points.
+/// Smallest lattice index of a time constant: 0.3 points.
 const LEAST_PLACE: i32 = -30;
-/// Step of finite differences off the lattice, in lattice steps, and Newton's longest step.
+/// Step of finite differences off the lattice, in lattice steps, and the longest Newton step.
 const FINE_STEP: f64 = 0.25;
 const LONGEST_STEP: f64 = 2.0;
 
-/// Fits processes behind the slips of candidates; keeps its buffers and counts.
+/// Fits processes to the slips of candidates; reuses its buffers and counts its work.
 #[derive(Debug)]
 pub(crate) struct Evaluator<'a> {
     /// The record.
@@ -31,7 +31,7 @@ pub(crate) struct Evaluator<'a> {
     pub law: Law,
     /// Class of the process.
     pub class: Class,
-    /// Points of the record that are looked at, from its beginning.
+    /// Points of the record that are used, from its beginning.
     pub points: usize,
     /// Error models computed.
     pub evaluations: u64,
@@ -39,11 +39,11 @@ pub(crate) struct Evaluator<'a> {
     pub signals: u64,
     steps: Steps,
     held: HeldSums,
-    /// Fits to the steps at hand on the lattice: walks come by the same places again.
+    /// Lattice fits for the current steps: walks revisit the same places.
     known: Vec<(Known, Best)>,
 }
 
-/// What a fit on the lattice depends on beside the steps: places, dead time, view, kinetic bands.
+/// Everything except the steps on which a lattice fit depends: indices, dead time, view, kinetic bands.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Known {
     class: Class,
@@ -65,11 +65,11 @@ pub(crate) struct Polished {
     pub fd: f64,
     /// Time constants, points, larger first.
     pub taus: [f64; 2],
-    /// Dead time and the sample that a held signal takes to act, points.
+    /// Dead time plus the sample that a held signal takes to act, points.
     pub lag: f64,
 }
 
-/// Does some `work` with an evaluator of a whole record and its plain view.
+/// Runs `work` with an evaluator and the plain view of a whole record.
 pub(crate) fn on_whole_record<T>(
     problem: &Problem<'_>,
     law: Law,
@@ -97,7 +97,7 @@ impl<'a> Evaluator<'a> {
         }
     }
 
-    /// Runs the valve; the kinetic bands that its slips leave open, or `None` where it moves too seldom or too often.
+    /// Runs the valve; returns the range of kinetic bands that its slips allow, or `None` if it moves too seldom or too often.
     pub(crate) fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
         let normalised = self.problem.normalised;
         self.signals += 1;
@@ -119,13 +119,13 @@ impl<'a> Evaluator<'a> {
         Some(freedom)
     }
 
-    /// The valve signal at hand.
+    /// The current valve signal.
     #[must_use]
     pub(crate) const fn steps(&self) -> &Steps {
         &self.steps
     }
 
-    /// OP itself in the place of the valve signal.
+    /// Uses OP itself as the valve signal.
     pub(crate) fn follow_op(&mut self) {
         self.held.clear();
         self.known.clear();
@@ -133,17 +133,17 @@ impl<'a> Evaluator<'a> {
         self.steps.list.retain(|s| (s.point as usize) < self.points);
     }
 
-    /// Whole points of the lag that are allowed.
+    /// Allowed range of the lag, whole points.
     fn delays(&self) -> [usize; 2] {
         self.problem.normalised.limits.lag.map(|l| l.max(0.0) as usize)
     }
 
-    /// Parts of a point that a lag of so many whole ones may have.
+    /// Allowed fractions of a point for a lag of `delay` whole points.
     fn fractions(&self, delay: usize) -> [f64; 2] {
         self.problem.normalised.limits.lag.map(|l| (l - delay as f64).clamp(0.0, 1.0))
     }
 
-    /// Places on the lattice as the class allows them.
+    /// Limits lattice indices to those that the class allows.
     fn clamp(&self, places: [i32; 2]) -> [i32; 2] {
         let most = self.problem.most_place(self.class);
         let second = self.class == Class::Second;
@@ -151,8 +151,8 @@ impl<'a> Evaluator<'a> {
         [first, if second { places[1].clamp(LEAST_PLACE, first - 1) } else { first }]
     }
 
-    /// The best fit at one place of the lattice from a lag on, which goes on to neighbours while that helps; it does not
-    /// where the error is above `enough`.
+    /// The best fit at one place of the lattice, starting from a lag; tries neighbouring lags while that helps, unless the
+    /// error is above `enough`.
     fn at(&mut self, view: &mut View, places: [i32; 2], delay: usize, freedom: &Freedom, enough: f64) -> LatticeFit {
         let places = self.clamp(places);
         let first = view.on_lattice(places[0]);
@@ -160,7 +160,7 @@ impl<'a> Evaluator<'a> {
         self.over_lags(view, [&first, &second], Some(places), delay, freedom, enough)
     }
 
-    /// The best dead time within a whole point, at `places` of the lattice or off it.
+    /// The best dead time within one whole point, at `places` of the lattice or off it.
     fn best_at(
         &mut self,
         view: &View,
@@ -222,8 +222,8 @@ impl<'a> Evaluator<'a> {
         best
     }
 
-    /// Goes on from a fit over the lattice: by a quadratic model of the error through places `width` apart, then ever closer
-    /// ones, the lag moving against the time constants.
+    /// Improves a fit over the lattice: by a quadratic model of the error through places `width` apart, then ever closer ones;
+    /// the lag moves against the time constants.
     fn walk(&mut self, view: &mut View, from: LatticeFit, freedom: &Freedom, width: i32, trade: bool) -> LatticeFit {
         if self.class == Class::Integrating {
             return if trade { self.hop(view, from, freedom) } else { from };
@@ -261,7 +261,8 @@ impl<'a> Evaluator<'a> {
         best
     }
 
-    /// The error `by` places beside a fit, the lag moved against the time constants; the best so far is kept.
+    /// The error at a place `by` lattice steps from a fit, with the lag moved against the time constants; keeps the best so
+    /// far.
     fn beside(
         &mut self,
         view: &mut View,
@@ -280,7 +281,7 @@ impl<'a> Evaluator<'a> {
             Class::Second => grown(0) + grown(1),
             _ => 0.0,
         };
-        // A much slower lag shows in the dead time by a few points at most.
+        // A much slower lag changes the dead time by a few points at most.
         let delay = (home.lag() - later.clamp(-MOST_TRADED, MOST_TRADED)).max(0.0) as usize;
         let found = self.at(view, places, delay, freedom, f64::INFINITY);
         if found.sse < best.sse {
@@ -302,7 +303,7 @@ impl<'a> Evaluator<'a> {
         best
     }
 
-    /// A quick fit from the process `near`: refined only where its error lies below `enough`.
+    /// A quick fit starting from the process `near`, refined only if its error is below `enough`.
     pub(crate) fn fit(
         &mut self,
         view: &mut View,
@@ -319,8 +320,8 @@ impl<'a> Evaluator<'a> {
         Some(self.candidate([s, j], start, fit))
     }
 
-    /// Bands and first slip of the valve signal at hand with the best process, whose start is that of a single lag and whose
-    /// kinetic band `freedom` says.
+    /// The best process for given bands and first slip behind the current valve signal, starting from a single lag; `freedom`
+    /// gives the kinetic band.
     pub(crate) fn at_bands(
         &mut self,
         view: &mut View,
@@ -345,14 +346,14 @@ impl<'a> Evaluator<'a> {
         Some(self.candidate(bands, start, fit))
     }
 
-    /// Given bands and first slip with the best process near `from`.
+    /// The best process near `from` for given bands and first slip.
     pub fn met(&mut self, view: &mut View, [s, j]: [f64; 2], start: Start, from: &LatticeFit) -> Option<Candidate> {
         let freedom = self.slip(s, j, start)?;
         let fit = self.settle_fit(view, from, &freedom);
         Some(self.candidate([s, j], start, fit))
     }
 
-    /// A candidate of this class fitted until no step on the lattice helps.
+    /// A candidate of this class, fitted until no lattice step helps.
     pub(crate) fn settle(&mut self, view: &mut View, from: &Candidate) -> Option<Candidate> {
         self.law = from.law;
         let freedom = self.slip(from.s, from.j, from.start)?;
@@ -360,12 +361,12 @@ impl<'a> Evaluator<'a> {
         Some(self.candidate([from.s, from.j], from.start, fit))
     }
 
-    /// What the steps of the valve signal at hand say for these tables and a dead time of `delay` whole points.
+    /// The normal equations of the current valve signal for these tables and a dead time of `delay` whole points.
     pub(super) fn reduced(&mut self, view: &View, tables: [&Table; 2], delay: usize) -> Reduced {
         reduce(self.class, view, tables, &self.steps.list, delay, &mut self.held)
     }
 
-    /// The best process near `from` behind the valve signal at hand.
+    /// The best process near `from` behind the current valve signal.
     pub(crate) fn settle_fit(&mut self, view: &mut View, from: &LatticeFit, freedom: &Freedom) -> LatticeFit {
         let fit = self.at(view, from.places, from.delay, freedom, f64::INFINITY);
         let mut best = self.walk(view, fit, freedom, 8, true);
@@ -382,7 +383,7 @@ impl<'a> Evaluator<'a> {
         best
     }
 
-    /// A candidate of any class refitted in the class `to`, where the evaluator stays.
+    /// A candidate of any class refitted in the class `to`; the evaluator keeps that class.
     pub(crate) fn in_class(&mut self, view: &mut View, from: &Candidate, to: Class) -> Option<Candidate> {
         (self.law, self.class) = (from.law, to);
         if from.class == to {
@@ -399,11 +400,11 @@ impl<'a> Evaluator<'a> {
         Some(self.candidate([from.s, from.j], from.start, fit))
     }
 
-    /// Two places from which a process of another class is looked for: a second lag that takes what the first or the dead
-    /// time gives up, a lost one that goes back there.
+    /// Two starting points for a process of another class: a new second lag takes its time from the first lag or the dead time,
+    /// and a dropped one returns it there.
     fn starts_in(&self, from: Class, to: Class, taus: [f64; 2], lag: f64) -> [([f64; 2], f64); 2] {
         let period = self.problem.normalised.period;
-        // An integrator has no lag of its own: as slow as the record is long.
+        // An integrator has no lag; use one as slow as the record is long.
         let slow = lattice_tau(self.problem.most_place(Class::First));
         let [main, lost] = match from {
             Class::First => [taus[0], 0.0],
@@ -421,7 +422,7 @@ impl<'a> Evaluator<'a> {
         }
     }
 
-    /// A candidate of the slips at hand.
+    /// A candidate with the current slips.
     pub(super) fn candidate(&self, [s, j]: [f64; 2], start: Start, fit: LatticeFit) -> Candidate {
         let steps = &self.steps;
         Candidate {
@@ -437,7 +438,7 @@ impl<'a> Evaluator<'a> {
         }
     }
 
-    /// A candidate with the process that a coarse look likes: time constant (points) and lag, and its error.
+    /// A candidate with the process from a coarse look: time constant (points), lag and error.
     pub(crate) fn seen(&self, [s, j]: [f64; 2], start: Start, sse: f64, tau: f64, lag: f64) -> Candidate {
         let place = lattice_index(tau);
         let (delay, gain) = (lag as usize, self.problem.sign);
@@ -445,15 +446,15 @@ impl<'a> Evaluator<'a> {
         self.candidate([s, j], start, fit)
     }
 
-    /// The process of a candidate with its time constants off the lattice: Newton's steps on differences of the error, dead
-    /// time and everything linear solved on the way.
+    /// A candidate's process with its time constants off the lattice: Newton steps on finite differences of the error; each
+    /// evaluation solves for the dead time and all linear parameters.
     pub(crate) fn polish(&mut self, view: &View, of: &Candidate) -> Option<Polished> {
         (self.law, self.class) = (of.law, of.class);
         let freedom = self.slip(of.s, of.j, of.start)?;
         Some(self.polish_fit(view, &of.fit, &freedom))
     }
 
-    /// The same behind the valve signal at hand.
+    /// The same for the current valve signal.
     pub(crate) fn polish_fit(&mut self, view: &View, of: &LatticeFit, freedom: &Freedom) -> Polished {
         let places = self.clamp(of.places).map(f64::from);
         let mut best = self.off_lattice(view, places, of.delay, freedom);
@@ -499,7 +500,7 @@ impl<'a> Evaluator<'a> {
         best
     }
 
-    /// The best fit for time constants at places between those of the lattice.
+    /// The best fit for time constants between lattice points.
     fn off_lattice(&mut self, view: &View, mut places: [f64; 2], delay: usize, freedom: &Freedom) -> Polished {
         let most = f64::from(self.problem.most_place(self.class));
         places[0] = places[0].clamp(f64::from(LEAST_PLACE), most);
@@ -514,8 +515,8 @@ impl<'a> Evaluator<'a> {
         Polished { sse: fit.sse, gain: fit.gain, fd: fit.fd, taus, lag: fit.lag() }
     }
 
-    /// What a process leaves of PV on all points from the view's first on: constant, memory and loads fitted to those that
-    /// count. Behind the valve signal of the candidate.
+    /// Residual of a process behind the candidate's valve signal, on all points from the view's first on; constant, memory and
+    /// loads are fitted to the counted points.
     pub(crate) fn residual(&mut self, view: &View, of: &Candidate, process: &Polished) -> Vec<f64> {
         (self.law, self.class) = (of.law, of.class);
         if self.slip(of.s, of.j, of.start).is_none() {
@@ -524,7 +525,7 @@ impl<'a> Evaluator<'a> {
         self.leftover(view, process)
     }
 
-    /// The same behind the valve signal at hand.
+    /// The same for the current valve signal.
     pub(crate) fn leftover(&self, view: &View, process: &Polished) -> Vec<f64> {
         let (class, n) = (self.class, view.points());
         let valve = self.signal(n, process.fd);
@@ -561,7 +562,7 @@ impl<'a> Evaluator<'a> {
         left
     }
 
-    /// The valve signal at hand with a kinetic band, point by point, from 0 at the record's beginning.
+    /// The current valve signal with a kinetic band, per point, from 0 at the record's beginning.
     fn signal(&self, n: usize, fd: f64) -> Vec<f64> {
         let mut out = vec![0.0; n];
         let (mut value, mut from) = (0.0, 0);
@@ -576,7 +577,7 @@ impl<'a> Evaluator<'a> {
     }
 }
 
-/// Newton's step for one or two places, shortened; downhill by a whole step where the error is not convex.
+/// Shortened Newton step for one or two indices; a whole step downhill if the error is not convex.
 fn newton(slope: [f64; 2], curve: [f64; 2], cross: f64, count: usize) -> [f64; 2] {
     let short = |x: f64| x.clamp(-LONGEST_STEP, LONGEST_STEP);
     let determinant = curve[0] * curve[1] - cross * cross;

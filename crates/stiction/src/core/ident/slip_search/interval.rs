@@ -1,11 +1,11 @@
-//! How well the bands are known: what other bands explain the record nearly as well.
+//! Uncertainty of the bands: which other bands explain the record nearly as well.
 //!
-//! The plane of (s, j) is tiled by cells that give the same slips. From the best cell on, cells are walked edge to edge
-//! in s and in j, along the ridge where an earlier slip and a longer lag look alike, and at random; the cells of whatever
-//! else the search found begin walks of their own. A cell counts by the likelihood of its fit,
-//! `exp(-(SSE - SSE*) / (2 sigma^2))`, spread over its rectangle by the squared error against fd; s is even inside a cell.
-//! Quantiles of this mixture are the likelihood's intervals. What the likelihood does not know, a valve or a disturbance
-//! unlike the model, shows in the residual, and sets a least width; the figures of that are measured on simulated loops, see
+//! The plane of (s, j) is tiled by cells that give the same slips. From the best cell, the walk goes across edges in s and in
+//! j, along the ridge where an earlier slip and a longer lag look alike, and at random; the cells of other candidates start
+//! further walks. A cell has the likelihood of its fit, `exp(-(SSE - SSE*) / (2 sigma^2))`, spread over its rectangle by the
+//! squared error as a function of fd; s is uniform inside a cell. Quantiles of this mixture are the likelihood's intervals. The
+//! likelihood ignores model error, such as a valve or a disturbance unlike the model; this shows in the residual and sets a
+//! minimum width, calibrated on simulated loops, see [`crate::core::ident::width`].
 //! [`crate::core::ident::width`].
 
 use super::around::Around;
@@ -22,53 +22,51 @@ use crate::core::optim::local::on_triangle;
 use crate::core::signal::stats;
 use rand_chacha::ChaCha8Rng;
 
-/// Share of the mixture beyond either end of a likelihood interval.
+/// Probability of the mixture beyond either end of a likelihood interval.
 const TAIL: f64 = 0.05;
-/// Logarithm of a weight below which a cell does not count.
+/// Logarithm of a weight below which a cell is ignored.
 const NEGLIGIBLE: f64 = -12.0;
-/// Cells walked to either side in s and in j, and neighbours in a row that do not count after which a walk ends.
+/// Cells walked per side in s and in j, and how many negligible neighbours in a row end a walk.
 const WALK_S: usize = 25;
 const WALK_J: usize = 10;
 const LOST: usize = 4;
-/// Points by which all moves come earlier or later at most, and places in a row that do not count after which no more are
-/// looked at.
+/// Most points by which all moves are shifted earlier or later, and how many negligible shifts in a row end the search.
 const MOST_LATER: isize = 60;
 const LOST_LATER: usize = 20;
-/// Steps to better neighbours from such a place, and the logarithm of a weight from which they are made.
+/// Steps to better neighbours from such a shift, and the logarithm of a weight from which they are tried.
 const BESIDE: usize = 8;
 const WORTH_A_STEP: f64 = -1200.0;
-/// Logarithm of a weight from which such a place is inside the interval: half of what chi squared has at 90 % with one degree
-/// of freedom, as for a profile likelihood.
+/// Logarithm of a weight from which such a shift is inside the interval: half of the 90 % quantile of chi squared with one
+/// degree of freedom, as for a profile likelihood.
 const PROFILE: f64 = -1.353;
-/// Looks around the best candidate, each from a better one than the one before.
+/// Looks around the best candidate, each around a better one than the last.
 const ROUNDS: usize = 3;
 /// Random moves.
 const MOVES: usize = 120;
-/// Other candidates that are met.
+/// Number of other candidates included.
 const RIVALS: usize = 12;
-/// Places in a cell, in s and in fd.
+/// Sampling points in a cell, in s and in fd.
 const PLACES: [usize; 2] = [5, 25];
-/// Golden section: its multiples' fractions are even.
+/// Golden section: the fractional parts of its multiples are evenly distributed.
 const GOLDEN: f64 = 0.618_033_988_749_895;
-/// Standard error of j, times this, that must stay below a third of s for j to count as seen.
+/// j counts as identified if its standard error, times this, is below a third of s.
 const SEEN: f64 = 5.0;
 
-/// What [`spread`] found.
+/// Result of [`spread`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Found {
     /// The intervals, spans of OP.
     pub spread: Spread,
-    /// The best candidate met: the one asked about, or a better one.
+    /// The best candidate found: the requested one, or a better one.
     pub best: Candidate,
     /// Its process.
     pub process: Polished,
-    /// Standard error of its fd, spans, for white residuals; infinite where fd is not seen apart from the gain.
+    /// Standard error of its fd, spans, for white residuals; infinite if fd cannot be separated from the gain.
     pub band_error: f64,
 }
 
-/// The likelihood's intervals around `best`, whose process is `process` in this view, and a better candidate if one is met
-/// on the way. `rivals` are other candidates of its law and class; `index` is the share of the error that goes with the
-/// friction.
+/// The likelihood's intervals around `best`, whose process is `process` in this view, and a better candidate if one is found.
+/// `rivals` are other candidates of its law and class; `index` is the share of the error that friction removes.
 pub(crate) fn spread(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
@@ -92,7 +90,8 @@ pub(crate) fn spread(
         }
         let top = looking.top;
         let process = looking.evaluator.polish(looking.view, &top)?;
-        // The quadratic model of the cell may promise more than there is; and nobody looks around one met in the last round.
+        // The cell's quadratic model may promise more than exists, and a candidate found in the last round is not searched
+        // around.
         if process.sse >= looking.process.sse || round == ROUNDS {
             looking.top = asked;
             break;
@@ -124,7 +123,7 @@ pub(crate) fn spread(
     Some(Found { spread, best: top, process: looking.process, band_error: looking.band_error() })
 }
 
-/// (s, j) in the middle of what the slips and the fitted fd leave open.
+/// The midpoint in (s, j) of the range that the slips and the fitted fd allow.
 #[must_use]
 pub(crate) fn centred(of: &Candidate) -> [f64; 2] {
     let fd = of.fit.fd;
@@ -138,7 +137,7 @@ pub(crate) fn centred(of: &Candidate) -> [f64; 2] {
 fn test(evaluator: &mut Evaluator<'_>, view: &View, of: &Candidate, process: &Polished) -> Whiteness {
     let left = evaluator.residual(view, of, process);
     let rho = view.rho();
-    // As the view has it: filtered.
+    // Filtered like the view.
     let filtered: Vec<f64> = core::iter::once(0.0).chain(left.windows(2).map(|w| w[1] - rho * w[0])).collect();
     let left = if rho == 0.0 { left } else { filtered };
     let mean = &evaluator.problem.normalised.mean;
@@ -146,7 +145,7 @@ fn test(evaluator: &mut Evaluator<'_>, view: &View, of: &Candidate, process: &Po
     whiteness(&left, &mean[from..])
 }
 
-/// Step of the grid that values stand on, 0 where they are (nearly) all different.
+/// Step of the grid on which values lie, 0 if (nearly) all values differ.
 fn quantum(path: &[f64]) -> f64 {
     const LEAST: f64 = 1e-6;
     let sorted = stats::sorted(path);
@@ -154,18 +153,18 @@ fn quantum(path: &[f64]) -> f64 {
     if gaps.is_empty() || 2 * gaps.len() > path.len() { 0.0 } else { stats::quantile(&gaps, 0.05) }
 }
 
-/// The search of the surroundings.
+/// State of the search around the answer.
 struct Looking<'b, 'a> {
     evaluator: &'b mut Evaluator<'a>,
     view: &'b mut View,
-    /// Time constants at and around those of the best candidate.
+    /// Time constants at and near those of the best candidate.
     around: Around,
     cells: Vec<Candidate>,
-    /// The best place at each s along the ridge.
+    /// The best place for each s along the ridge.
     on_ridge: Vec<Candidate>,
     top: Candidate,
     process: Polished,
-    /// Error of the candidate that the search began with.
+    /// Error of the candidate from which the search started.
     first: f64,
     /// Variance of the residual, per independent point.
     variance: f64,
@@ -197,7 +196,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         Some(looking)
     }
 
-    /// Starts from a new best candidate.
+    /// Restarts from a new best candidate.
     fn accept(&mut self, best: Candidate, process: Polished, inflation: f64) -> Option<()> {
         (self.evaluator.law, self.evaluator.class) = (best.law, best.class);
         self.around = self.evaluator.around(self.view, &process);
@@ -213,7 +212,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         Some(())
     }
 
-    /// Standard error of fd, spans, for white residuals; infinite where the data cannot tell it from the gain.
+    /// Standard error of fd, spans, for white residuals; infinite if the data cannot separate it from the gain.
     fn band_error(&mut self) -> f64 {
         let Some((profile, _)) = self.evaluator.profile(self.view, &self.around, &self.top) else {
             return f64::INFINITY;
@@ -226,7 +225,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         -(sse - self.top.sse()) / (2.0 * self.variance)
     }
 
-    /// The candidate at a place, fitted from `shape` with the lag changed, or remembered.
+    /// The candidate at a place, fitted from the process of `from` with the lag changed, or the cached one.
     fn visit(&mut self, s: f64, j: f64, start: Start, from: &Candidate, lag: f64) -> Option<Candidate> {
         let [s, j] = on_triangle([s, j]);
         if s < 1e-4 {
@@ -255,7 +254,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         Some(found)
     }
 
-    /// From the best cell across the edges in s, to either side, then in j.
+    /// Walks from the best cell across the edges in s, to either side, then in j.
     fn walk(&mut self) {
         let home = self.top;
         self.walk_edges(home, WALK_S, [1e-4, 3.0], |c| c.cells[0], |edge| [edge, home.j.min(edge)]);
@@ -263,8 +262,8 @@ impl<'b, 'a> Looking<'b, 'a> {
         self.walk_edges(home, WALK_J, [0.0, home.s], |c| c.cells[1], |edge| [home.s, edge]);
     }
 
-    /// From the best cell to either side, at most `most` cells, while their edges lie inside `range`; `place` is where
-    /// an edge is looked at.
+    /// Walks from the best cell to either side, at most `most` cells, while the edges are inside `range`; `place` gives the
+    /// bands for an edge.
     fn walk_edges(
         &mut self,
         home: Candidate,
@@ -296,7 +295,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         }
     }
 
-    /// Along the ridge to either side, point by point: all moves earlier with a longer lag, and the reverse.
+    /// Walks along the ridge to either side, point by point: all moves earlier with a longer lag, and the reverse.
     fn ridge(&mut self) {
         let home = self.top;
         if self.evaluator.slip(home.s, home.j, home.start).is_none() {
@@ -322,7 +321,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         }
     }
 
-    /// From a place that may come to count, step by step to the best neighbouring cell or first slip.
+    /// Moves step by step to the best neighbouring cell or first slip, if the place may turn out to matter.
     fn settle_beside(&mut self, from: Candidate) -> Candidate {
         let mut best = from;
         for _ in 0..BESIDE {
@@ -346,13 +345,13 @@ impl<'b, 'a> Looking<'b, 'a> {
         best
     }
 
-    /// The values of the places on the ridge that explain the record nearly as well as the best one.
+    /// The range of a value over the places on the ridge that explain the record nearly as well as the best one.
     fn profile_range(&self, of: impl Fn([f64; 2]) -> f64, value: f64) -> [f64; 2] {
         let near = self.on_ridge.iter().filter(|c| self.weight(c.sse()) > PROFILE);
         near.fold([value, value], |all, c| hull(all, [of(centred(c)); 2]))
     }
 
-    /// Random moves that go where the weight is (Metropolis).
+    /// Random moves that favour high weights (Metropolis).
     fn wander(&mut self, rng: &mut ChaCha8Rng) {
         let mut at = self.top;
         for _ in 0..MOVES {
@@ -386,7 +385,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         }
     }
 
-    /// Everything that the slips of cells that count allow j to be.
+    /// The range of j that the slips of all relevant cells allow.
     fn allowed(&self, j: f64) -> [f64; 2] {
         let count = self.cells.iter().filter(|c| self.weight(c.sse()) > NEGLIGIBLE / 4.0);
         count.fold([j, j], |all, c| {
@@ -394,7 +393,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         })
     }
 
-    /// Walks from the cells of other candidates that count.
+    /// Walks from the cells of other candidates with enough weight.
     fn meet(&mut self, rivals: &[Candidate]) {
         let class = self.top.class;
         for rival in rivals.iter().filter(|c| c.class == class).take(RIVALS) {
@@ -404,13 +403,13 @@ impl<'b, 'a> Looking<'b, 'a> {
         }
     }
 
-    /// The weighted places of all cells that count, and whether the best one cannot tell fd from the gain.
+    /// Weighted sampling points of all relevant cells, and whether the best cell cannot separate fd from the gain.
     fn mixture(&mut self) -> (Mixture, bool) {
         let (mut places, mut flat) = (Vec::new(), false);
         let mut order: Vec<Candidate> =
             self.cells.iter().copied().filter(|c| self.weight(c.sse()) > NEGLIGIBLE).collect();
         order.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
-        // One rectangle counts once, with the first slip that suits it best.
+        // Each rectangle counts once, with its best first slip.
         let mut cells: Vec<Candidate> = Vec::new();
         for c in order {
             if !cells.iter().any(|t| t.covers(c.s, c.j, t.start)) {
@@ -442,12 +441,12 @@ impl<'b, 'a> Looking<'b, 'a> {
             for m in 0..PLACES[1] {
                 let fd = band[0] + (m as f64 + 0.5) * step;
                 let weight = libm::exp(self.weight(sse(fd)).min(0.0)) * area;
-                // Rows are shifted against each other, so that s is even over the cell, not on a few values.
+                // Rows are shifted against each other, so that s is uniform over the cell instead of taking a few values.
                 let shift = (m as f64 * GOLDEN).fract();
                 for k in 0..PLACES[0] {
                     let s = c.cells[0][0] + s_width * (k as f64 + shift) / PLACES[0] as f64;
                     let j = s - 2.0 * fd;
-                    // The ends of a cell belong to it, and a point of it always does.
+                    // The ends of a cell belong to it, so that each cell contributes at least one point.
                     if j >= c.cells[1][0] - 2.0 * step && j <= c.cells[1][1] + 2.0 * step && j <= s + 2.0 * step {
                         places.push(Place { s, j: j.max(0.0), weight });
                     }
@@ -457,7 +456,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         (Mixture { places }, flat)
     }
 
-    /// The part of a band of fd whose weight counts, found from the best place outwards by halving.
+    /// The part of a band of fd with relevant weight, found from its best value outwards by bisection.
     fn band_that_counts(&self, sse: &dyn Fn(f64) -> f64, band: [f64; 2], best: f64) -> [f64; 2] {
         let counts = |fd: f64| self.weight(sse(fd)) > self.weight(sse(best)) + NEGLIGIBLE;
         band.map(|end| {
@@ -474,7 +473,7 @@ impl<'b, 'a> Looking<'b, 'a> {
     }
 }
 
-/// One place in the plane of (s, j).
+/// One point in the plane of (s, j).
 #[derive(Debug, Clone, Copy)]
 struct Place {
     s: f64,
@@ -482,13 +481,13 @@ struct Place {
     weight: f64,
 }
 
-/// Weighted places.
+/// Weighted points.
 struct Mixture {
     places: Vec<Place>,
 }
 
 impl Mixture {
-    /// The middle part of a value, [`TAIL`] cut off on either side; empty (end before start) without places.
+    /// Interval of a value without [`TAIL`] on either side; empty (end before start) without points.
     fn interval(&self, value: &dyn Fn(&Place) -> f64) -> [f64; 2] {
         let mut all: Vec<(f64, f64)> = self.places.iter().map(|p| (value(p), p.weight)).collect();
         all.sort_by(|a, b| a.0.total_cmp(&b.0));

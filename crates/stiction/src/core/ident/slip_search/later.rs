@@ -1,29 +1,29 @@
-//! The bands with which a stem makes the same moves, all of them some points later or earlier.
+//! Bands for which a stem makes the same moves, all shifted by the same number of points.
 //!
-//! With the lag changed by as much, PV hardly tells them apart: this is the ridge on which a record with few moves leaves s
-//! and the dead time open.
+//! If the lag changes by the same amount, PV hardly distinguishes them: along this ridge a record with few moves leaves s and
+//! the dead time undetermined.
 
 use crate::core::ident::normalised::{NormalisedRecord, Start};
 use crate::core::sim::slips::Law;
 use crate::core::sim::steps::Steps;
 
-/// Share of a threshold by which a value is inside it.
+/// Relative margin by which a value is inside a threshold.
 const JUST: f64 = 1e-6;
 
-/// One move of a stem: the point at which it happens, and whether it goes back.
+/// One move of a stem: its point, and whether the stem reverses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Move {
     point: usize,
     turns: bool,
 }
 
-/// The moves of a stem that break away from rest.
+/// The moves of a stem that start from rest.
 pub(super) struct Moves {
     list: Vec<Move>,
     law: Law,
 }
 
-/// Bands and first slip, as [`super::candidate::Candidate`] has them.
+/// Bands and first slip, as in [`super::candidate::Candidate`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Bands {
     pub s: f64,
@@ -31,7 +31,8 @@ pub(super) struct Bands {
     pub start: Start,
 }
 
-/// A threshold of OP's way since the last move: it is passed at `most`, and not yet at `least`.
+/// Bounds of a threshold on OP's travel since the last move: above `least`, where the stem still rests, and at most `most`,
+/// where it moves.
 #[derive(Debug, Clone, Copy)]
 struct Threshold {
     most: f64,
@@ -41,12 +42,12 @@ struct Threshold {
 impl Threshold {
     const OPEN: Self = Self { most: f64::INFINITY, least: 0.0 };
 
-    /// The middle of what all moves leave open. Where they contradict each other, each still happens, some too early.
+    /// The middle of the range that all moves allow. If the moves contradict each other, each still happens, some too early.
     fn middle(self) -> f64 {
         if self.least < self.most { 0.5 * (self.least + self.most) } else { (1.0 - JUST) * self.most }
     }
 
-    /// The nearest value that the moves leave open.
+    /// The nearest value that the moves allow.
     fn nearest(self, to: f64) -> f64 {
         if (self.least..self.most).contains(&to) {
             to
@@ -59,16 +60,16 @@ impl Threshold {
 }
 
 impl Moves {
-    /// Those of a valve signal under a law.
+    /// Moves of a valve signal under a law.
     pub(super) fn of(steps: &Steps, law: Law) -> Self {
         let all = steps.list.iter().map(|s| Move { point: s.point as usize, turns: s.direction != 0.0 });
-        // Under the tracking law a stem slides on from sample to sample.
+        // Under the tracking law a moving stem slides on from sample to sample.
         let list = all.enumerate().filter(|(k, m)| *k == 0 || m.turns || law == Law::He).map(|(_, m)| m).collect();
         Self { list, law }
     }
 
-    /// The bands with which they happen `by` points later, with j as near to `near` as they allow; `None` where the record does
-    /// not reach so far, or no move turns. Of a point with several OP values the first counts.
+    /// The bands that delay all moves by `by` points, with j as near to `near` as possible; `None` if the record does not reach
+    /// that far, or no move reverses. Of a point with several OP values the first counts.
     pub(super) fn later(&self, record: &NormalisedRecord, start: Start, near: f64, by: isize) -> Option<Bands> {
         let op = record.path.values();
         let per_point = record.path.per_point();
@@ -77,14 +78,14 @@ impl Moves {
             (point < record.path.points()).then_some(point * per_point)
         };
         let first = self.list.first().and_then(at)?;
-        // A stem whose first move goes on stands as if it had come from the other side of its start.
+        // A stem whose first move continues behaves as if it had come from the other side of its start.
         let starts = self.list.first().is_some_and(|m| m.turns);
         let mut direction = if start.up == starts { 1.0 } else { -1.0 };
         let [mut s, mut j] = [Threshold::OPEN; 2];
         let mut from = first;
         for m in &self.list[1..] {
             let Some(to) = at(m) else { break };
-            // Where the way to this move begins: at the one before, or where OP turned.
+            // The travel to this move begins at the previous move, or where OP turned.
             let way = |x: &f64| direction * x;
             if self.law == Law::Tracking {
                 from = (from..=to).max_by(|a, b| way(&op[*a]).total_cmp(&way(&op[*b])))?;
@@ -106,7 +107,7 @@ impl Moves {
     }
 }
 
-/// A start in the same direction whose first slip happens at one of OP's values.
+/// A start in the same direction whose first slip happens at a given OP value.
 fn start_at(record: &NormalisedRecord, start: Start, at: usize) -> Start {
     let sign = if start.up { 1.0 } else { -1.0 };
     let reached = record.path.values()[..=at].iter().fold(f64::NEG_INFINITY, |m, x| m.max(sign * x));
@@ -123,7 +124,7 @@ mod tests {
 
     #[test]
     fn the_bands_of_later_moves_make_the_same_moves_later() {
-        // Straight slopes, on which every move can come later by as much.
+        // Straight slopes, on which every move can be delayed by the same amount.
         let op: Vec<f64> = (0..6000).map(|k| (f64::from((k + 500) % 1000) - 500.0).abs()).collect();
         let pv = op.iter().map(|x| x * x).collect();
         let record = NormalisedRecord::of(&Record::uniform(1.0, op, pv), &Options::default()).unwrap();

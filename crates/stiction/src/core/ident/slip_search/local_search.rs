@@ -1,8 +1,8 @@
-//! From a candidate to better ones nearby.
+//! Improves a candidate by local search.
 //!
-//! In (s, j) the plane is tiled by cells that give the same slips; inside one the error is constant once fd is fitted. The
-//! right cell may be a few tenths of a per cent wide, so steps go to just across the edges of the cell at hand, or are
-//! drawn from many sizes.
+//! The plane of (s, j) is tiled by cells that give the same slips; within a cell the error is constant once fd is fitted. The
+//! right cell may be a few tenths of a per cent wide, so steps go just across the edges of the current cell, or are drawn from
+//! many scales.
 
 use rand_chacha::ChaCha8Rng;
 
@@ -12,47 +12,47 @@ use crate::core::ident::evaluator::View;
 use crate::core::ident::normalised::{SlipEnd, Start};
 use crate::core::ident::random::{moved, normal, uniform};
 
-/// Smallest s that is looked at, spans.
+/// Smallest s of the search, spans.
 pub(crate) const LEAST_S: f64 = 1e-4;
-/// Cells to either side that a walk over neighbours meets.
+/// Cells per side in a walk over neighbours.
 const CELLS: usize = 4;
-/// How far such a walk goes in s, share of s, and in j.
+/// How far such a walk goes in s, as a share of s, and in j.
 const REACH: [f64; 2] = [0.05, 0.15];
-/// Relative gain below which neighbours have not helped.
+/// Relative gain below which the neighbours count as no improvement.
 const NO_GAIN: f64 = 1e-4;
-/// Error over the best one up to which places on the ridge are kept.
+/// Error relative to the best one up to which places on the ridge are kept.
 const ON_RIDGE: f64 = 2.5;
-/// The same up to which their processes are refined.
+/// The same limit for refining their processes.
 const ON_RIDGE_REFINED: f64 = 1.2;
 
-/// Least s of a walk from cell to cell, share of the s it starts from.
+/// Smallest s of a walk from cell to cell, as a share of its starting s.
 const LEAST_ALONG: f64 = 0.5;
-/// Error over the last place that was followed from which a cell is none to follow, and how far s goes (a share of it) until
-/// any is.
+/// Error relative to the last followed cell's from which a cell is skipped, and the relative distance in s after which the next
+/// cell is followed in any case.
 const COMB: f64 = 1.5;
 const FOLLOWED_FOR: f64 = 0.02;
-/// Shares of fs between OP's first value and the stem before the record, and how far s goes (a share of it) until they are all
-/// tried again.
+/// Offsets of the stem before the record from OP's first value, as shares of fs, and the relative distance in s after which all
+/// are tried again.
 pub(super) const STEMS: [f64; 21] = [
     -0.98, -0.88, -0.78, -0.69, -0.59, -0.49, -0.39, -0.29, -0.2, -0.1, 0.0, 0.1, 0.2, 0.29, 0.39, 0.49, 0.59, 0.69,
     0.78, 0.88, 0.98,
 ];
 const OTHER_STEMS: f64 = 0.01;
 
-/// How near to the best one an error must lie for a process to be refined.
+/// How close to the best error a process's error must be for the process to be refined.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Nearness {
-    /// Least and most relative distance, of random steps.
+    /// Least and largest relative distance, for random steps.
     pub within: [f64; 2],
-    /// The same times the share of PV that the best one leaves: where it leaves much, errors differ little from cell to
-    /// cell, and all would be refined.
+    /// This times the share of PV that the best candidate leaves: if it leaves much, errors differ little from cell to cell,
+    /// and all would be refined.
     pub at_share: f64,
-    /// Factor for neighbouring cells.
+    /// Factor of the distance for neighbouring cells.
     pub cells: f64,
 }
 
 impl Nearness {
-    /// As the daemon searches.
+    /// The daemon's setting.
     pub(crate) const USUAL: Self = Self { within: [1e-3, 0.01], at_share: 3e-4, cells: 2.0 };
 
     /// Error up to which a random step from a candidate is refined.
@@ -77,25 +77,25 @@ pub(crate) fn across(cell: [f64; 2], up: bool) -> f64 {
     if up { cell[1] * (1.0 + 1e-9) + 1e-12 } else { cell[0] * (1.0 - 1e-9) - 1e-12 }
 }
 
-/// The bands as the valve may have them, or `None` where there is no friction left.
+/// The bands within the valve's limits, or `None` if no friction is left.
 fn kept(evaluator: &Evaluator<'_>, s: f64, j: f64) -> Option<[f64; 2]> {
     let s = s.min(1.0);
     (s.is_finite() && j.is_finite() && s >= LEAST_S).then(|| [s, evaluator.problem.normalised.slip_end.keep(s, j)])
 }
 
-/// Jumps that may go with another s on the ridge where an earlier slip and a longer lag look alike: the same, the same
-/// share of s, the same fd, and the same fs (the stem then stands farther from where OP turns by as much).
+/// Values of j to try with another s on the ridge where an earlier slip and a longer lag look alike: the same j, the same share
+/// of s, the same fd, and the same fs (the stem then rests farther from OP's reversal by the change in s).
 fn ridge_jumps([from_s, from_j]: [f64; 2], s: f64, slip_end: SlipEnd) -> [f64; 4] {
     let moved = s - from_s;
     [from_j, from_j / from_s * s, from_j + moved, from_j - moved].map(|j| slip_end.keep(s, j))
 }
 
-/// The same process with its lag moved.
+/// The same process with its lag shifted.
 fn later(fit: &LatticeFit, by: f64) -> LatticeFit {
     LatticeFit { delay: (fit.lag() + by).max(0.0) as usize, ..*fit }
 }
 
-/// Random steps from a candidate, never to a worse one.
+/// Random steps from a candidate; a worse one is never accepted.
 pub(crate) fn random_steps(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
@@ -121,7 +121,7 @@ pub(crate) fn random_steps(
     best
 }
 
-/// Where the next random step goes: bands, first slip, and by how much the lag moves with them.
+/// Draws the next random step: bands, first slip, and the change of lag that goes with them.
 fn random_step(evaluator: &Evaluator<'_>, from: &Candidate, rng: &mut ChaCha8Rng) -> (f64, f64, Start, f64) {
     let normalised = evaluator.problem.normalised;
     let (mut s, mut j, mut start, mut lag) = (from.s, from.j, from.start, 0.0);
@@ -138,7 +138,7 @@ fn random_step(evaluator: &Evaluator<'_>, from: &Candidate, rng: &mut ChaCha8Rng
             lag = normal(rng);
         }
         if uniform(rng) < 0.06 {
-            // A staircase of half or double steps meets the right one at every other step.
+            // A staircase with half or double steps agrees with the right one at every other step.
             j *= [0.5, 2.0, 2.0 / 3.0, 1.5][(4.0 * uniform(rng)) as usize];
         }
     } else if kind < 0.78 {
@@ -160,7 +160,7 @@ fn random_step(evaluator: &Evaluator<'_>, from: &Candidate, rng: &mut ChaCha8Rng
     (s, j, start, lag)
 }
 
-/// A first slip at a neighbouring extreme of OP, now and then anywhere on either side.
+/// A first slip at a neighbouring extreme of OP, occasionally anywhere on either side.
 fn another_start(evaluator: &Evaluator<'_>, from: Start, rng: &mut ChaCha8Rng) -> Start {
     let count = |up: bool| evaluator.problem.normalised.extremes[usize::from(!up)].len();
     let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
@@ -192,7 +192,7 @@ impl Neighbours<'_, '_, '_> {
         Some(found)
     }
 
-    /// The cells to one side in s, the jump held or moved along, then those in j.
+    /// Tries the cells to one side in s, with the jump fixed or moved along, then those in j.
     fn cells(&mut self, home: &Candidate, up: bool) {
         let (mut s, mut cell) = (home.s, home.cells[0]);
         for _ in 0..CELLS {
@@ -220,7 +220,7 @@ impl Neighbours<'_, '_, '_> {
         }
     }
 
-    /// Along the ridge, and first slips before and after.
+    /// Tries places along the ridge, and first slips before and after.
     fn ridge_and_starts(&mut self, home: &Candidate, up: bool) {
         let (rate, count) = {
             let normalised = self.evaluator.problem.normalised;
@@ -243,7 +243,7 @@ impl Neighbours<'_, '_, '_> {
         }
     }
 
-    /// The threshold of the first slip, by a parabola through three places.
+    /// Improves the threshold of the first slip by a parabola through three values.
     fn threshold(&mut self, home: &Candidate) {
         let errors = [0.0, 0.5, 1.0].map(|place| {
             let found = self.look(home.s, home.j, Start { place, ..home.start }, home.fit);
@@ -259,7 +259,7 @@ impl Neighbours<'_, '_, '_> {
     }
 }
 
-/// Neighbouring cells, first slips and thresholds, `rounds` times or until none is better.
+/// Tries neighbouring cells, first slips and thresholds, `rounds` times or until none is better.
 pub(crate) fn neighbours(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
@@ -283,7 +283,7 @@ pub(crate) fn neighbours(
     walk.best
 }
 
-/// An even look along the ridge around a candidate, `reach` (a share of s) to either side: its best places.
+/// Samples the ridge around a candidate evenly, `reach` (a share of s) to either side; returns the best places.
 pub(crate) fn along_ridge(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
@@ -312,8 +312,8 @@ pub(crate) fn along_ridge(
     apart(&pool, 4, 0)
 }
 
-/// A walk along the ridge from cell to cell of s, `most` of them to a side: its best places. Where a stem moves seldom the
-/// error is a comb of cells a fraction of a per cent wide, none of which shows in the error of the next.
+/// Walks along the ridge from cell to cell of s, at most `most` cells per side; returns the best places. If a stem moves
+/// seldom, the error is a comb of cells a fraction of a per cent wide, and no cell's error predicts the next one's.
 pub(crate) fn along_cells(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
@@ -341,7 +341,7 @@ pub(crate) fn along_cells(
             }
             let Some(found) = walk.look(s, [same, share, against], &starts) else { break };
             cell = found.cells[0];
-            // The comb is followed at its lower edge.
+            // Follow the comb along its lower edge.
             if found.sse() < COMB * walk.last.sse() || (s / walk.last.s - 1.0).abs() > FOLLOWED_FOR {
                 walk.last = found;
             }
@@ -355,9 +355,9 @@ pub(crate) fn along_cells(
 struct RidgeWalk<'e, 'a, 'v> {
     evaluator: &'e mut Evaluator<'a>,
     view: &'v mut View,
-    /// The place that is followed.
+    /// The last place that was followed.
     last: Candidate,
-    /// Least error met.
+    /// Least error found.
     least: f64,
     pool: Vec<Candidate>,
 }
@@ -368,17 +368,17 @@ impl<'e, 'a, 'v> RidgeWalk<'e, 'a, 'v> {
         Self { evaluator, view, last: *from, least, pool: Vec::new() }
     }
 
-    /// Points by which slips come later with another s than at the place that is followed.
+    /// Points by which another s delays the slips relative to the place that is followed.
     fn later_by(&self, s: f64) -> f64 {
         (s - self.last.s) / self.evaluator.problem.normalised.rate.max(1e-6)
     }
 
-    /// The first slip that goes with another s.
+    /// The first slip that belongs to another s.
     fn moved_start(&self, s: f64) -> Start {
         self.evaluator.problem.normalised.moved_start(self.last.start, self.later_by(s))
     }
 
-    /// The best of some first slips with the first of some jumps, then of the other jumps.
+    /// The best of several first slips with the first jump, then of the other jumps with that start.
     fn look<const N: usize>(&mut self, s: f64, jumps: [f64; N], starts: &[Start]) -> Option<Candidate> {
         let guess = later(&self.last.fit, -self.later_by(s));
         let mut best: Option<Candidate> = None;

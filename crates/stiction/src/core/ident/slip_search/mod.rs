@@ -1,9 +1,9 @@
 //! The one search for the slips of a valve and the process behind it.
 //!
-//! It is given a [`problem::Problem`] (a normalised record, what of it counts, what is fitted beside the process' answer)
-//! and the laws and classes of process that may be. A [`coarse_scan`] of the plane of bands, on a part of the record,
-//! finds where to begin, and PV's own kinks say where the slips may be; a [`local_search`] goes from cell to cell of equal slips; the best is carried to the whole record
-//! and tested there ([`stages`]).
+//! The input is a [`problem::Problem`] (a normalised record, its counted stretches, signals fitted in addition to the process's
+//! response) with the allowed laws and classes of process. A [`coarse_scan`] of the plane of bands, on a part of the record,
+//! finds starting points, and so do PV's own kinks; a [`local_search`] goes from cell to cell of equal slips; the best is
+//! carried to the whole record and tested there ([`stages`]).
 
 pub(crate) mod answer;
 mod around;

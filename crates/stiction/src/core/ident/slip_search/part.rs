@@ -1,4 +1,4 @@
-//! What a round of the search holds, and the process without friction that everything is held against.
+//! State of a round of the search, and the process without friction as its baseline.
 
 use super::candidate::{Candidate, LatticeFit, apart};
 use super::coarse_scan::CoarseScan;
@@ -11,10 +11,11 @@ use crate::core::ident::class::Class;
 use crate::core::ident::evaluator::{View, lattice_index};
 use crate::core::ident::kinetic_band::Freedom;
 
-/// Candidates that go to another class together.
+/// Candidates converted together to another class.
 pub(super) const FOLLOWERS: usize = 8;
 
-/// The best process of a class that takes OP as it is, from the best of many time constants and dead times of a single lag.
+/// The best process of a class driven by OP itself, starting from the best of many time constants and dead times of a single
+/// lag.
 pub(crate) fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class) -> Option<LatticeFit> {
     let problem = evaluator.problem;
     let normalised = problem.normalised;
@@ -41,7 +42,7 @@ pub(crate) fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class
     fits.reduce(|a, b| if b.sse < a.sse { b } else { a })
 }
 
-/// What a round holds of one law while it searches a part of the record.
+/// State of a round for one law while it searches a part of the record.
 pub(super) struct Part<'a> {
     pub points: usize,
     pub view: View,
@@ -51,11 +52,11 @@ pub(super) struct Part<'a> {
     pub held: Vec<Candidate>,
 }
 
-/// Places of a part from which the ridge is looked along, how far (share of s) and in how many steps to a side.
+/// Candidates whose ridges are searched, how far (share of s), and in how many steps per side.
 const ON_RIDGES: (usize, f64, usize) = (4, 0.12, 16);
 
 impl Part<'_> {
-    /// The best go to the best place along their ridges.
+    /// Moves the best candidates to the best place along their ridges.
     pub(crate) fn look_along_ridges(&mut self) {
         let (count, reach, steps) = ON_RIDGES;
         for c in self.held.iter_mut().take(count) {
@@ -67,7 +68,7 @@ impl Part<'_> {
         self.held = apart(&self.held, usize::MAX, 0);
     }
 
-    /// All go to another class, one more that was found there among them.
+    /// Converts all candidates to another class and adds one that was found in it.
     pub(crate) fn move_to(&mut self, class: Class, found: &Candidate) {
         let from: Vec<Candidate> = self.held.iter().take(FOLLOWERS).copied().collect();
         let moved = from.iter().chain([found]).filter_map(|c| self.evaluator.in_class(&mut self.view, c, class));
@@ -78,27 +79,27 @@ impl Part<'_> {
     }
 }
 
-/// What a round has made of one law.
+/// Results of a round for one law.
 pub(super) struct LawRound<'a> {
     pub part: Part<'a>,
     pub rng: ChaCha8Rng,
-    /// The coarse scan of the part, and what it saw.
+    /// The coarse scan of the part, with its pool.
     pub scan: Scan,
     /// The next stage.
     pub stage: usize,
     /// Candidates on the whole record.
     pub finals: Vec<Candidate>,
-    /// Those of the part that were carried there.
+    /// Candidates of the part that were carried to the whole record.
     pub tested: Vec<Candidate>,
-    /// Whether more stages are worth it.
+    /// Whether further stages are worthwhile.
     pub open: bool,
-    /// Whether the best leaves nothing but noise.
+    /// Whether the best candidate leaves only noise.
     pub is_noise: bool,
-    /// Whether hardly any friction shows.
+    /// Whether hardly any friction is visible.
     pub faint: bool,
     /// Stages without gain.
     pub stale: usize,
-    /// Error of the part without friction, where it was asked for.
+    /// Error of the part without friction, once computed.
     pub without: Option<f64>,
 }
 
@@ -114,7 +115,7 @@ impl<'a> LawRound<'a> {
         self.finals.iter().map(Candidate::sse).fold(f64::INFINITY, f64::min)
     }
 
-    /// Random steps for the best of the part, `count` of them after the first `skip`.
+    /// Random steps for the best candidates of the part, `count` of them after the first `skip`.
     pub(crate) fn refine(&mut self, stage: usize, [count, skip]: [usize; 2], steps: usize, near: Nearness) {
         let part = &mut self.part;
         part.held.sort_by(|a, b| a.sse().total_cmp(&b.sse()));

@@ -1,4 +1,4 @@
-//! What a search is given: a normalised record, what of it counts, and the sign of the gain.
+//! Input of a search: a normalised record, its counted stretches, and the sign of the gain.
 
 use crate::core::ident::class::Class;
 use crate::core::ident::evaluator::{View, lattice_index};
@@ -6,44 +6,44 @@ use crate::core::ident::kinetic_band::Freedom;
 use crate::core::ident::normalised::{NormalisedRecord, Start};
 use crate::core::sim::steps::Steps;
 
-/// What stands between the stem and the process of a model structure, its parameters held: a rate limit, a characteristic.
+/// A model element between the stem and the process with fixed parameters, such as a rate limit or a characteristic.
 pub(crate) trait BehindStem: core::fmt::Debug + Sync {
-    /// Turns the steps of a stem that begins at `start` (level, direction) into those of the signal that the process gets,
-    /// over `points`; fd is no longer free where the signal is not linear in it.
+    /// Converts the steps of a stem that begins at `start` (level, direction) into the steps of the process's input, over
+    /// `points`; fixes fd if the signal is not linear in it.
     fn shape(&self, steps: &mut Steps, start: [f64; 2], freedom: &mut Freedom, points: usize);
 }
 
 /// One search problem.
 #[derive(Debug)]
 pub struct Problem<'a> {
-    /// The record; its stroke and slip end are those of the valve that is looked for.
+    /// The record, with the stroke and slip end of the valve to be found.
     pub normalised: &'a NormalisedRecord,
-    /// Stretches of points that are fitted; all from the record's first point that counts where none are named.
+    /// Stretches of points that are fitted; if empty, everything from the record's first counted point.
     pub counted: Vec<[usize; 2]>,
-    /// What stands behind the stem, where something does.
+    /// Element behind the stem, if any.
     pub behind: Option<&'a dyn BehindStem>,
-    /// Signals fitted beside the process' answer, each as long as PV.
+    /// Signals fitted in addition to the process's response, each as long as PV.
     pub loads: Vec<Vec<f64>>,
     /// Sign of the process gain.
     pub sign: f64,
-    /// Fewest moves of the stem in the record, most in a period.
+    /// Fewest moves of the stem in the record, most per period.
     pub moves: [usize; 2],
-    /// Where OP's running maxima, then minima, stand among its values.
+    /// Indices of OP's running maxima, then minima, among its values.
     extremes: [Vec<u32>; 2],
 }
 
-/// Nine first positions of the stem, as shares of the static band from OP's first value.
+/// Nine initial positions of the stem, as shares of the static band from OP's first value.
 pub(crate) const EVEN_STARTS: [f64; 9] = [-0.9, -0.675, -0.45, -0.225, 0.0, 0.225, 0.45, 0.675, 0.9];
-/// Fewest moves of the stem from which a model is fitted.
+/// Fewest moves of the stem for which a model is fitted.
 const LEAST_MOVES: usize = 3;
-/// Most moves in a period: a stem that follows every sample is no valve that sticks.
+/// Most moves per period: a stem that follows every sample does not stick.
 const MOST_MOVES: usize = 120;
-/// Longest lag before an integrator, periods and shares of the record.
+/// Longest lag in front of an integrator, periods and shares of the record.
 const LAG_PERIODS: f64 = 4.0;
 const LAG_SHARE: f64 = 0.5;
 
 impl<'a> Problem<'a> {
-    /// All of a record.
+    /// A problem that counts the whole record.
     #[must_use]
     pub(crate) fn new(normalised: &'a NormalisedRecord, sign: f64) -> Self {
         let moves = [LEAST_MOVES, MOST_MOVES];
@@ -51,7 +51,7 @@ impl<'a> Problem<'a> {
         Self { normalised, counted: Vec::new(), behind: None, loads: Vec::new(), sign, moves, extremes }
     }
 
-    /// Starts worth trying with the static band `fs`: the stem on OP's first value, and beside it by shares of the band.
+    /// Starts worth trying with the static band `fs`: the stem at OP's first value, and offset from it by shares of the band.
     #[must_use]
     pub(crate) fn starts(&self, fs: f64, shares: &[f64]) -> Vec<Start> {
         let mut out: Vec<Start> = Vec::with_capacity(shares.len());
@@ -62,8 +62,8 @@ impl<'a> Problem<'a> {
         out
     }
 
-    /// The start that a stem at `position` makes with the band `fs`, if OP ever moves it: whichever of its running maxima and
-    /// minima leaves the band first.
+    /// The start of a stem at `position` with the band `fs`, if OP ever moves it: determined by whichever running maximum or
+    /// minimum leaves the band first.
     fn start_from(&self, position: f64, fs: f64) -> Option<Start> {
         let [highs, lows] = &self.normalised.extremes;
         let up = highs.partition_point(|r| r - position <= fs);
@@ -77,7 +77,7 @@ impl<'a> Problem<'a> {
         Some(Start { up: is_up, extreme: if is_up { up } else { down }, place: 0.5 })
     }
 
-    /// Starts whose first slip goes up, or down, within so many of OP's running extremes of a point.
+    /// Starts with a first slip up, or down, within `within` of OP's running extremes from a point.
     #[must_use]
     pub(crate) fn starts_near(&self, point: f64, up: bool, within: usize) -> Vec<Start> {
         let places = &self.extremes[usize::from(!up)];
@@ -87,33 +87,33 @@ impl<'a> Problem<'a> {
         (middle.saturating_sub(within)..=last).map(|extreme| Start { up, extreme, place: 0.5 }).collect()
     }
 
-    /// Points.
+    /// Number of points.
     #[must_use]
     pub(crate) fn points(&self) -> usize {
         self.normalised.pv.len()
     }
 
-    /// PV, deviations.
+    /// PV, deviations from its mean.
     #[must_use]
     pub(crate) fn pv(&self) -> &[f64] {
         &self.normalised.pv
     }
 
-    /// PV's first `points` behind the filter `1 - rho q^-1`.
+    /// PV's first `points`, filtered by `1 - rho q^-1`.
     #[must_use]
     pub(crate) fn view(&self, rho: f64, points: usize) -> View {
         let whole = [[self.normalised.from, points]];
         self.view_of(rho, points, if self.counted.is_empty() { &whole } else { &self.counted })
     }
 
-    /// The same, with the stretches `counted` fitted.
+    /// As [`Self::view`], with the stretches `counted` fitted.
     #[must_use]
     pub(crate) fn view_of(&self, rho: f64, points: usize, counted: &[[usize; 2]]) -> View {
         let loads: Vec<&[f64]> = self.loads.iter().map(|l| &l[..points]).collect();
         View::of_stretches(&self.pv()[..points], &loads, rho, self.normalised.from, counted)
     }
 
-    /// First point of OP that lies so far from its first value, spans.
+    /// First point at which OP differs by more than `spans` from its first value.
     #[must_use]
     pub(crate) fn first_far(&self, spans: f64) -> usize {
         let path = self.normalised.path.values();
@@ -121,7 +121,7 @@ impl<'a> Problem<'a> {
         path.first().and_then(far).unwrap_or(0) / self.normalised.path.per_point()
     }
 
-    /// Greatest place of a time constant on the lattice.
+    /// Largest lattice index of a time constant.
     #[must_use]
     pub(crate) fn most_place(&self, class: Class) -> i32 {
         let normalised = self.normalised;
@@ -134,7 +134,7 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// Where running maxima, then minima, stand, the first value included.
+/// Indices of running maxima, then minima, including the first value.
 fn places_of_extremes(path: &[f64]) -> [Vec<u32>; 2] {
     let mut out = [vec![0], vec![0]];
     for (k, value) in path.iter().enumerate() {

@@ -1,47 +1,47 @@
-//! Bands read from PV itself, before any model is fitted: where to begin.
+//! Bands read from PV itself, before any model is fitted, as starting points.
 //!
-//! Under He's law the stem stands between its slips, so PV is made of pieces: straight ones behind an integrator,
-//! exponentials of one time constant behind a lag. The best cut of PV into pieces, the time constant held, gives the
-//! instants of the slips. OP's travel between two slips in the same direction is the jump j, across a reversal it is s.
-//! The dead time between slip and kink is the one at which these travels are most alike.
+//! Under He's law the stem rests between slips, so PV is piecewise: straight lines behind an integrator, exponentials of one
+//! time constant behind a lag. The best segmentation of PV for a fixed time constant gives the instants of the slips. OP's
+//! travel between two slips in the same direction is the jump j, across a reversal it is s. The dead time between slip and kink
+//! is the one for which these travels agree best.
 
 use std::ops::Range;
 
 use super::problem::Problem;
 use crate::core::signal::stats;
 
-/// Time constants that are tried, periods; without end is an integrator's.
+/// Time constants tried, periods; infinity is an integrator.
 const TIME_CONSTANTS: [f64; 5] = [f64::INFINITY, 1.0, 0.3, 0.1, 0.03];
-/// What a piece must save to be worth one more, noise variances: a chance kink saves this seldom.
+/// Least reduction of the error by an additional piece, noise variances: chance kinks rarely reach it.
 const PIECE_COSTS: f64 = 15.0;
-/// Least noise, deviations of PV: what is smaller is the shape's error, not noise.
+/// Least noise, standard deviations of PV: anything smaller is an error of the shape.
 const LEAST_NOISE: f64 = 1e-3;
 /// Longest piece, periods.
 const LONGEST_PIECE: f64 = 1.2;
-/// Two cuts nearer than this are one slip, points: a slip between two samples bends PV twice.
+/// Two cuts nearer than this count as one slip, points: a slip between two samples bends PV twice.
 const ONE_SLIP: usize = 2;
-/// Points that are read at most.
+/// Most points that are read.
 const MOST_POINTS: usize = 2_000;
-/// Fewest slips, travels across a reversal and travels in one direction from which bands are read.
+/// Fewest slips, travels across a reversal and travels in one direction for which bands are read.
 const FEWEST: [usize; 3] = [6, 4, 3];
 /// Step of the dead time, points.
 const LAG_STEP: f64 = 0.5;
-/// Jumps, shares of s, where no two slips go the same way: their travels do not show j then.
+/// Jumps tried, as shares of s, if no two slips go the same way, so that the travels do not show j.
 const UNSEEN_JUMPS: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
-/// Bands kept, and how near two may lie: share of s, in s and in j.
+/// Bands kept, and the least distance between two: share of s, in s and in j.
 const KEEP: usize = 20;
 const APART: [f64; 2] = [0.02, 0.04];
 
-/// What PV's kinks say at one dead time.
+/// Bands read from PV's kinks at one dead time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reading {
     /// s and j, spans of OP.
     pub bands: [f64; 2],
-    /// Point of the first slip, and whether the stem goes up there.
+    /// Point of the first slip, and whether the stem moves up there.
     pub first: (f64, bool),
 }
 
-/// What PV's kinks suggest, most consistent first; empty where it shows none.
+/// Readings from PV's kinks, most consistent first; empty if PV shows none.
 #[must_use]
 pub(crate) fn readings(problem: &Problem<'_>) -> Vec<Reading> {
     let normalised = problem.normalised;
@@ -77,10 +77,10 @@ pub(crate) fn readings(problem: &Problem<'_>) -> Vec<Reading> {
     kept
 }
 
-/// A piece on its way: sums by which `level + slope * shape` is fitted to it.
+/// An unfinished piece: sums for the fit of `level + slope * shape`.
 struct Piece {
     first: usize,
-    /// Its shape at the next point: time itself behind an integrator, else what is left of the way to its end.
+    /// Shape at the next point: time itself behind an integrator, else the remaining share of the exponential.
     next_shape: f64,
     count: f64,
     shape: f64,
@@ -114,7 +114,7 @@ impl Piece {
         [(self.pv - slope * self.shape) / self.count, slope]
     }
 
-    /// What the fit leaves, sum of squares.
+    /// Residual sum of squares of the fit.
     fn left(&self) -> f64 {
         let [_, slope] = self.fit();
         let total = self.pv2 - self.pv * self.pv / self.count;
@@ -122,8 +122,8 @@ impl Piece {
     }
 }
 
-/// First points of the second piece and all after it, in the cheapest cut: optimal partitioning, where a piece that has
-/// cost more than another way to the same point is followed no further (Killick, Fearnhead and Eckley 2012).
+/// First points of the second and all later pieces in the cheapest segmentation: optimal partitioning, which drops a piece once
+/// its cost exceeds that of another way to the same point (Killick, Fearnhead and Eckley 2012).
 fn cuts(pv: &[f64], decay: f64, piece_cost: f64, longest: usize) -> Vec<usize> {
     let n = pv.len();
     let (mut least, mut from) = (vec![f64::INFINITY; n + 1], vec![0; n + 1]);
@@ -153,7 +153,7 @@ fn cuts(pv: &[f64], decay: f64, piece_cost: f64, longest: usize) -> Vec<usize> {
     out
 }
 
-/// Kinks between pieces: where, and which way the stem went.
+/// Kinks between pieces: their points, and the direction in which the stem went.
 fn kinks(pv: &[f64], cuts: &[usize], decay: f64, sign: f64) -> Vec<(usize, f64)> {
     let mut places: Vec<usize> = Vec::with_capacity(cuts.len());
     for cut in cuts {
@@ -174,9 +174,9 @@ fn kinks(pv: &[f64], cuts: &[usize], decay: f64, sign: f64) -> Vec<(usize, f64)>
     places.iter().zip(levels.windows(2)).map(|(at, level)| (*at, (sign * (level[1] - level[0])).signum())).collect()
 }
 
-/// The bands that OP's travels between kinks show at a dead time, with their scatter (share of the bands). A slip comes with
-/// the first sample beyond the band, so a travel is longer than the band by half of OP's `step` on average; where kinks were
-/// missed, the shorter travels show j.
+/// The bands implied by OP's travels between kinks at a dead time, with their relative scatter. A slip occurs at the first
+/// sample beyond the band, so a travel exceeds the band by half of OP's `step` on average; if kinks were missed, the shorter
+/// travels show j.
 fn travels(op: &[f64], kinks: &[(usize, f64)], lag: f64, step: f64) -> Vec<(f64, [f64; 2])> {
     let at = |point: usize| {
         let place = point as f64 - lag;
@@ -212,13 +212,13 @@ fn travels(op: &[f64], kinks: &[(usize, f64)], lag: f64, step: f64) -> Vec<(f64,
     j.map(|j| (scatter + spread, [s, j])).to_vec()
 }
 
-/// The upper of the middle values, in linear time; of at least one.
+/// The upper median, in linear time; `values` must not be empty.
 fn middle_of(values: &mut [f64]) -> f64 {
     let half = values.len() / 2;
     *values.select_nth_unstable_by(half, f64::total_cmp).1
 }
 
-/// Middle distance from a value.
+/// Median distance from a value.
 fn spread_of(values: &mut [f64], from: f64) -> f64 {
     values.iter_mut().for_each(|v| *v = (*v - from).abs());
     middle_of(values)
@@ -235,7 +235,7 @@ mod tests {
     use crate::core::sim::process::ProcessModel;
     use proptest::prelude::*;
 
-    /// An integrating process under PI control by a valve that sticks, past its start.
+    /// An integrating process under PI control with a sticking valve, after its start-up.
     fn integrating(fs: f64, fd: f64, dead_time: f64, seed: u64) -> Record {
         let gain = 0.02;
         let model = LoopModel {

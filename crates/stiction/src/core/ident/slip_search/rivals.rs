@@ -1,4 +1,4 @@
-//! What other bands leave of the record, once their process and slips are looked for in the answer's own view.
+//! Errors of rival bands, after refitting their process and slips in the answer's view.
 
 use super::candidate::{Candidate, apart};
 use super::evaluator::Evaluator;
@@ -9,14 +9,14 @@ use crate::core::ident::evaluator::View;
 /// Candidates refitted, and rounds through the neighbours of each.
 const REFITTED: usize = 40;
 const ROUNDS: usize = 3;
-/// Logarithm of s, and j over s, by which other bands differ from the answer's.
+/// Distance in ln s, and in j over s, from which bands differ from the answer's.
 const OTHER_S: f64 = 0.03;
 const OTHER_J: f64 = 0.06;
-/// Error over the answer's that other bands must leave to be ruled out.
+/// Error relative to the answer's from which other bands are ruled out.
 const RULED_OUT: f64 = 1.5;
 
-/// All bands that the search held, `seen` under the answer's law and the `best` of each other law under its own, refitted to
-/// `view` with a process of the answer's class; best first.
+/// All bands that the search kept, refitted to `view` with a process of the answer's class: `seen` under the answer's law, and
+/// the `best` of each other law under its own. Best first.
 pub(crate) fn refitted(
     evaluator: &mut Evaluator<'_>,
     view: &mut View,
@@ -38,7 +38,7 @@ pub(crate) fn refitted(
     found
 }
 
-/// Whether all of the `rivals` that have other bands than the `answer` leave far more than it; not without rivals.
+/// Whether all `rivals` with bands other than the `answer`'s leave a far larger error; `false` without rivals.
 #[must_use]
 pub(crate) fn are_ruled_out(answer: &Candidate, rivals: &[Candidate]) -> bool {
     !rivals.is_empty()

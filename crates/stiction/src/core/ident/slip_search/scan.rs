@@ -1,4 +1,4 @@
-//! The first stage: places of the whole plane of bands, looked at coarsely.
+//! The first stage: a coarse look at the whole plane of bands.
 
 use super::candidate::{Candidate, apart};
 use super::coarse_scan::CoarseScan;
@@ -16,49 +16,50 @@ use crate::core::sim::steps::Step;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 
-/// Places of the stem before the record, shares of the static band from OP's first value.
+/// Positions of the stem before the record, as shares of the static band from OP's first value.
 const STARTS: [f64; 17] =
     [0.0, -0.9, 0.9, -0.45, 0.45, -0.7, 0.7, -0.2, 0.2, -0.97, 0.97, -0.8, 0.8, -0.6, 0.6, -0.3, 0.3];
-/// Starts that are looked at of a stem that turns at most so often: its place before the record matters the more, the fewer
-/// its turns.
+/// Starts tried for a stem with at most this many reversals: the fewer reversals, the more its initial position matters.
 const STARTS_BY_REVERSALS: [(usize, usize); 3] = [(2, 17), (4, 5), (7, 3)];
-/// Share over the least one so far from which a place is not asked for other starts.
+/// Share relative to the least one so far from which no other starts are tried.
 const WORTH_STARTS: f64 = 4.0;
-/// Moves of a stem that moves seldom; places looked through, steps in s (shares of it) to a side, and in j.
+/// Fewer moves than this are few; then the numbers of places searched, of steps in s (shares of it) per side, and of steps in
+/// j.
 const SELDOM: usize = 40;
 const STRAIGHT: usize = 4;
 const STEPS_IN_S: i32 = 24;
 const STEP_IN_S: f64 = 0.008;
 const STEPS_IN_J: i32 = 36;
-/// Places read from PV that are looked around, ever closer (shares of s, half as far again in j), looks at each distance.
+/// Places read from PV and searched around, ever closer (shares of s, 1.5 times as far in j), and looks at each distance.
 const LOOKED_AROUND: usize = 14;
 const CLOSER: [f64; 4] = [0.02, 0.01, 0.005, 0.0025];
 const LOOKS: usize = 10;
-/// Error over the best place's up to which one is looked around.
+/// Error relative to the best place's up to which a place is searched around.
 const WORTH_LOOKING_AROUND: f64 = 4.0;
-/// OP's running extremes to either side of the first slip that may have been what moved the stem.
+/// OP's running extremes on either side of the first slip that may have moved the stem.
 const RECORDS: usize = 4;
-/// Stretches of a period over which a sliding stem's steps are put together.
+/// Bins per period into which the steps of a sliding stem are merged.
 const LUMPS: f64 = 24.0;
 
-/// The scan under one law, which keeps all that it sees.
+/// The scan under one law; keeps everything that it sees.
 #[derive(Debug, Clone)]
 pub struct Scan {
     scans: Vec<CoarseScan>,
-    /// Sum of squares that shares are taken of.
+    /// Sum of squares to which shares refer.
     whole: f64,
     lump: u32,
     lumped: Vec<Step>,
     /// Everything seen.
     pub pool: Vec<Candidate>,
-    /// Valve signals looked at.
+    /// Valve signals evaluated.
     pub looks: u64,
-    /// Least share that places left so far.
+    /// Least share left unexplained so far.
     least: f64,
 }
 
 impl Scan {
-    /// A scan of what the evaluator looks at, by the error behind `1 - rho q^-1`; `whole` is what no model leaves.
+    /// A scan of the evaluator's points, by the error filtered with `1 - rho q^-1`; `whole` is the sum of squares without any
+    /// model.
     #[must_use]
     pub(crate) fn new(evaluator: &Evaluator<'_>, rho: f64, whole: f64) -> Self {
         Self::of(evaluator, CoarseScan::of(evaluator.problem, rho, evaluator.points), whole)
@@ -69,7 +70,7 @@ impl Scan {
         Self { scans, whole, lump, lumped: Vec::new(), pool: Vec::new(), looks: 0, least: 1.0 }
     }
 
-    /// A look at the contour solver's grid, then an even one.
+    /// Looks at the contour solver's grid, then at evenly spaced places.
     pub(crate) fn run(
         &mut self,
         evaluator: &mut Evaluator<'_>,
@@ -78,7 +79,7 @@ impl Scan {
         settings: &ScanSettings,
         rng: &mut ChaCha8Rng,
     ) {
-        // A grid is looked at whole; what the solver refines is refined better later.
+        // Covers the whole grid; later stages refine better than the solver would.
         let steps = 100.0 / fineness_pct.clamp(0.2, 50.0);
         let grid = 0.5 * steps * (steps + 3.0) + 12.0;
         let asked = Settings { budget: settings.budget.max(grid as u64), fineness_pct, seed };
@@ -86,9 +87,9 @@ impl Scan {
         self.evenly(evaluator, settings, rng);
     }
 
-    /// An even look on a logarithmic scale of s, which no linear grid gives to small bands.
+    /// Looks evenly on a logarithmic scale of s: a linear grid is too coarse for small bands.
     fn evenly(&mut self, evaluator: &mut Evaluator<'_>, settings: &ScanSettings, rng: &mut ChaCha8Rng) {
-        // Another round sees other places.
+        // Every round looks at other places.
         let shift = [uniform(rng), 0.3 + 0.4 * uniform(rng)];
         for a in 0..settings.sizes {
             let along = (a as f64 + shift[0]) / settings.sizes as f64;
@@ -100,8 +101,8 @@ impl Scan {
         }
     }
 
-    /// An even look for a process whose second lag is `tau` points long: its best places in that class, best first, and how many
-    /// valve signals were looked at. What two lags make of the right slips looks wrong to a single one.
+    /// An even look for a process whose second lag is `tau` points long: its best places in that class, best first, and the
+    /// number of valve signals evaluated. With two lags, the right slips look wrong to a single-lag scan.
     pub(crate) fn behind_lag(
         evaluator: &mut Evaluator<'_>,
         tau: f64,
@@ -122,8 +123,8 @@ impl Scan {
         (seen, scan.looks)
     }
 
-    /// Candidates that straight looks through the best places and, where there are any, looks around what was read from PV
-    /// add to those worth a fit: closer looks, for records whose slips the even look does not find.
+    /// Adds candidates worth a fit from line searches through the best places and, if bands were read from PV, from searches
+    /// around them: closer looks, for records whose slips the even look misses.
     pub(crate) fn closer(
         &mut self,
         evaluator: &mut Evaluator<'_>,
@@ -138,7 +139,7 @@ impl Scan {
         found
     }
 
-    /// Looks at what was read from PV and ever closer around it: the best place of each reading, best first.
+    /// Looks at the bands read from PV and ever closer around them: the best place of each reading, best first.
     fn near(&mut self, evaluator: &mut Evaluator<'_>, readings: &[Reading], rng: &mut ChaCha8Rng) -> Vec<Candidate> {
         let problem = evaluator.problem;
         let seen_before = std::mem::take(&mut self.pool);
@@ -171,13 +172,13 @@ impl Scan {
         apart(&found, usize::MAX, 0)
     }
 
-    /// The best of the pool, which is empty then.
+    /// The best of the pool; empties it.
     fn best_of_pool(&mut self) -> Option<Candidate> {
         self.pool.drain(..).min_by(|a, b| a.sse().total_cmp(&b.sse()))
     }
 
-    /// Straight looks through the best places whose stem moves seldom: there the valleys are too narrow for an even look, and
-    /// looks are cheap.
+    /// Line searches through the best places whose stem moves seldom: their valleys are too narrow for an even look, and looks
+    /// are cheap.
     fn straight_looks(&mut self, evaluator: &mut Evaluator<'_>) {
         let seldom: Vec<Candidate> = self.pool.iter().copied().filter(|c| c.slips < SELDOM).collect();
         let slip_end = evaluator.problem.normalised.slip_end;
@@ -206,8 +207,8 @@ impl Scan {
         apart(&self.pool, settings.keep[0], settings.keep[1])
     }
 
-    /// The best of every half octave of s, short and long dead times apart: a model that lacks an effect often prefers slips of
-    /// quite another size than the right ones.
+    /// The best of every half octave of s, separately for short and long dead times: a model that lacks an effect often prefers
+    /// slips of a very different size.
     #[must_use]
     pub(crate) fn of_every_size(&self, evaluator: &Evaluator<'_>) -> Vec<Candidate> {
         let short = 0.25 * evaluator.problem.normalised.limits.lag[1];
@@ -222,7 +223,7 @@ impl Scan {
         best.into_values().collect()
     }
 
-    /// Puts the steps of a sliding stem together.
+    /// Merges the steps of a sliding stem.
     fn lump_steps(&mut self, steps: &[Step]) {
         self.lumped.clear();
         let mut from = 0;
@@ -250,7 +251,7 @@ impl Scan {
                 break;
             }
             least = least.min(self.look(evaluator, s, j, start));
-            // Another start changes what comes before the first turn only.
+            // Another start changes only what comes before the first reversal.
             if least > WORTH_STARTS * self.least {
                 break;
             }
@@ -259,7 +260,7 @@ impl Scan {
         least
     }
 
-    /// The share that one valve signal leaves; kept in the pool.
+    /// The share that one valve signal leaves unexplained; the candidate is kept in the pool.
     fn look(&mut self, evaluator: &mut Evaluator<'_>, s: f64, j: f64, start: Start) -> f64 {
         let Some(freedom) = evaluator.slip(s, j, start) else { return f64::INFINITY };
         self.looks += 1;

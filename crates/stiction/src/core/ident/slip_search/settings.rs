@@ -1,16 +1,16 @@
-//! What the stages of a search may spend, and when they end. Every figure was chosen on simulated loops of one set and
-//! reported on another.
+//! Effort and stopping rules of the search stages. Every number was chosen on one set of simulated loops and reported on
+//! another.
 
 use super::local_search::Nearness;
 
 /// The coarse scan of one round.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ScanSettings {
-    /// Places that the contour solver may ask for, more where its grid has more.
+    /// Evaluations allowed for the contour solver; more if its grid has more places.
     pub budget: u64,
     /// Smallest s, spans.
     pub least_s: f64,
-    /// Sizes of s on a logarithmic scale, and jumps for each.
+    /// Values of s on a logarithmic scale, and of j for each.
     pub sizes: usize,
     /// See `sizes`.
     pub jumps: usize,
@@ -21,25 +21,25 @@ pub(crate) struct ScanSettings {
 /// One round of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RoundSettings {
-    /// Filter of the error that is searched by, `1 - rho q^-1`: differences forget a wrong slip, so the right one is found
+    /// Filter of the error during the search, `1 - rho q^-1`: differencing forgets a wrong slip, so the right one can be found
     /// from farther away.
     pub rho: f64,
-    /// Share of the record that is searched first, least and greatest length of that part in periods.
+    /// Share of the record that is searched first; least and greatest length of that part, periods.
     pub part: [f64; 3],
-    /// The part is counted from where OP first goes far: integrators add up what a wrong slip leaves.
+    /// The part starts where OP first moves far: integrators accumulate the error of a wrong slip.
     pub from_far: bool,
     /// The coarse scan.
     pub scan: ScanSettings,
-    /// Candidates, and random steps for each, of the stages of the local search.
+    /// Candidates, and random steps for each, in the stages of the local search.
     pub stages: &'static [(usize, usize)],
     /// Random steps on the whole record at the end.
     pub last: usize,
 }
 
-/// Searches of later cuts of the record: what a part at its beginning cannot show, one from its middle may.
+/// Searches of later cuts of the record: the middle may show what the beginning does not.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct CutSettings {
-    /// Cuts.
+    /// Number of cuts.
     pub count: usize,
     /// Distance between the beginnings of two cuts, and length of a cut, shares of the record.
     pub apart: f64,
@@ -54,32 +54,31 @@ pub(crate) struct CutSettings {
 pub(crate) struct SearchSettings {
     /// Rounds, in order.
     pub rounds: Vec<RoundSettings>,
-    /// Before the second round, where friction shows.
+    /// Searched before the second round, if friction is visible.
     pub cuts: CutSettings,
-    /// When processes are refined.
+    /// Limits for refining processes.
     pub near: Nearness,
-    /// Share of PV that the best leaves below which every test asks for the class again: the right slips may have been kept in
-    /// a wrong one.
+    /// Share of PV that the best candidate leaves below which every test chooses the class again: the right slips may have been
+    /// kept in a wrong class.
     pub closely: f64,
-    /// Error over another law's from which a law is out of the running, in a round and for the next one.
+    /// Error relative to another law's from which a law is dropped, in a round and for the next one.
     pub behind: [f64; 2],
-    /// Error over the frictionless one's from which further stages are not worth it.
+    /// Error relative to the frictionless one's from which further stages are not worthwhile.
     pub no_friction: f64,
-    /// Stiction index above which another round is worth it where rounds do not agree.
+    /// Stiction index above which another round is worthwhile if the rounds do not agree.
     pub worth_a_round: f64,
-    /// Share of the error that a round must gain for rounds not to agree.
+    /// Share by which a round must reduce the error to count as disagreeing.
     pub gain: f64,
-    /// Share of the frictionless error from which on one round without gain ends a search.
+    /// Share of the frictionless error from which one round without gain ends a search.
     pub much: f64,
-    /// Rounds without gain, one after the other, that end a search.
+    /// Consecutive rounds without gain that end a search.
     pub agreeing: usize,
-    /// Reversals of the stem below which a search goes on after a model that leaves nothing but noise, until rounds agree. Chosen
-    /// on 400 simulated loops; on 1,200 fresh ones s lay within 1 % in 1,484 of 1,514 searches instead of 1,454 (34 won, 4
-    /// lost).
+    /// Reversals of the stem below which a search continues after a model that leaves only noise, until rounds agree. Chosen on
+    /// 400 simulated loops; on 1,200 fresh ones s was within 1 % in 1,484 of 1,514 searches instead of 1,454 (34 won, 4 lost).
     pub few_reversals: usize,
-    /// Cells to a side through which the ridge of a stem that moves seldom is walked.
+    /// Cells per side walked along the ridge if the stem moves seldom.
     pub cells_along: usize,
-    /// Whether bands read from PV's kinks are looked at, too.
+    /// Whether bands read from PV's kinks are tried, too.
     pub reads_pv: bool,
 }
 
@@ -95,7 +94,7 @@ const ROUND: RoundSettings = RoundSettings {
 };
 
 impl SearchSettings {
-    /// As the daemon searches.
+    /// The daemon's settings.
     #[must_use]
     pub(crate) fn usual() -> Self {
         let wide = ScanSettings { sizes: 90, jumps: 8, keep: [24, 6], ..SCAN };
@@ -130,8 +129,8 @@ impl SearchSettings {
         }
     }
 
-    /// Only so many rounds, no cuts, and the first model that leaves only noise: the probabilities of gap decisions were
-    /// calibrated so.
+    /// Only `count` rounds, no cuts, and stopping at the first model that leaves only noise: the probabilities of gap decisions
+    /// were calibrated with these settings.
     #[must_use]
     pub(crate) fn in_rounds(count: usize) -> Self {
         let mut settings = Self { cuts: CutSettings { count: 0, ..CUTS }, few_reversals: 0, ..Self::usual() };
@@ -139,8 +138,7 @@ impl SearchSettings {
         settings
     }
 
-    /// One round with less of everything, for one of many structures that are held against each other: the likely ones are
-    /// searched as usual afterwards.
+    /// One reduced round, for comparing many structures; the likely ones are searched as usual afterwards.
     #[must_use]
     pub(crate) fn brief() -> Self {
         let scan = ScanSettings { budget: 60, sizes: 24, jumps: 4, keep: [8, 2], ..SCAN };

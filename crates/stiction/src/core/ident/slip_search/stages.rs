@@ -1,5 +1,5 @@
-//! The stages of the search: coarse scan of a part of the record, local search there, the best carried to the whole record
-//! and tested, rounds with other chance while the test fails and they do not agree.
+//! Stages of the search: coarse scan of a part of the record, local search there, carrying the best to the whole record and
+//! testing it; rounds with new random draws while the test fails and the rounds do not agree.
 
 use rand_chacha::ChaCha8Rng;
 
@@ -21,35 +21,35 @@ use crate::core::signal::stats;
 use crate::core::sim::slips::Law;
 use serde::Serialize;
 
-/// Share of PV's variance below which what is left is rounding, whatever it looks like.
+/// Share of PV's variance below which the residual is rounding, whatever it looks like.
 const ROUNDING: f64 = 1e-9;
-/// Lag-1 autocorrelation from which no further test is needed to see that a residual is not white.
+/// Lag-1 autocorrelation from which a residual is not white, without further tests.
 const COLOURED: f64 = 0.12;
-/// Random steps on the whole record for what the part found.
+/// Random steps on the whole record for candidates from the part.
 pub(super) const CARRIED: usize = 60;
 /// Random steps on the way there, at each length.
 const ON_THE_WAY: usize = 24;
-/// Moves of a stem that moves seldom.
+/// Fewer moves than this are few.
 const SELDOM: usize = 40;
-/// Part that is searched first where the process integrates: what wrong slips leave adds up there.
+/// The part that is searched first if the process integrates: the error of wrong slips accumulates there.
 const SHORT_PART: [f64; 3] = [0.1, 3.0, 12.0];
-/// Filters that take the place of one that leaves mostly noise, and the share of noise from which they do.
+/// Filters that replace one that leaves mostly noise, and the share of noise from which they do.
 const WEAKER: [f64; 3] = [0.9, 0.7, 0.4];
 const MOST_NOISE: f64 = 0.3;
-/// Share of the error without friction in the part from which on none shows there.
+/// Share of the error without friction from which no friction is visible in the part.
 const FAINT_IN_PART: f64 = 0.6;
 
-/// What a search is told beside its problem.
+/// Parameters of a search in addition to its problem.
 pub struct Request<'r> {
     /// Laws, in the order in which they are searched.
     pub laws: &'r [Law],
-    /// Classes of process that may be.
+    /// Classes of process that are allowed.
     pub model: ModelChoice,
     /// Step of the coarse scan's grid, % of OP's span.
     pub fineness_pct: f64,
     /// Seed.
     pub seed: u64,
-    /// Error of another explanation (the other sign of the gain) from which this one is given up.
+    /// Error of another explanation (the other sign of the gain) from which this search is given up.
     pub rival: f64,
 }
 
@@ -70,23 +70,22 @@ pub enum Ended {
     Complete,
 }
 
-/// What a search found.
+/// Result of a search.
 #[derive(Debug, Clone)]
 pub struct Found {
     /// The best candidate of each law that was searched, by the plain error on the whole record, best first.
     pub best: Vec<Candidate>,
-    /// Other candidates that were met, by the plain error or that of a part: rivals of the best.
+    /// Other candidates that were found, by the plain error or that of a part: rivals of the best.
     pub seen: Vec<Candidate>,
-    /// What the coarse scans liked, before any local search: the right slips may be among them where the error prefers
-    /// others.
+    /// The coarse scans' candidates, before any local search: they may include the right slips if the error prefers others.
     pub scanned: Vec<Candidate>,
-    /// Whether the best leaves nothing but noise.
+    /// Whether the best candidate leaves only noise.
     pub is_noise: bool,
     /// Error models and valve signals computed.
     pub evaluations: u64,
     /// Rounds made.
     pub rounds: usize,
-    /// Why it ended.
+    /// Why the search ended.
     pub ended: Ended,
 }
 
@@ -102,14 +101,14 @@ pub struct Search<'s, 'a> {
     law_best: [f64; 2],
     /// Standard deviation of PV's white noise.
     noise_sd: f64,
-    /// Whether the last round saw friction in the part where none shows on the whole record.
+    /// Whether the last round found friction in the part that is not visible on the whole record.
     shows_in_part: bool,
-    /// What PV's kinks suggest, once that was asked for.
+    /// Bands read from PV's kinks, once requested.
     readings: Option<Vec<Reading>>,
 }
 
 impl<'s, 'a> Search<'s, 'a> {
-    /// A search that has found nothing yet.
+    /// A search without results yet.
     #[must_use]
     pub(crate) fn new(problem: &'a Problem<'a>, request: &'s Request<'s>, settings: &'s SearchSettings) -> Self {
         let points = problem.points();
@@ -137,7 +136,7 @@ impl<'s, 'a> Search<'s, 'a> {
         }
     }
 
-    /// The plain view of the whole record, and the evaluator of it.
+    /// Evaluator and plain view of the whole record.
     pub(crate) fn whole(&mut self) -> (&mut Evaluator<'a>, &mut View) {
         (&mut self.whole, &mut self.plain)
     }
@@ -153,7 +152,7 @@ impl<'s, 'a> Search<'s, 'a> {
         self.law_best.into_iter().fold(f64::INFINITY, f64::min)
     }
 
-    /// Searches.
+    /// Runs all rounds.
     #[must_use]
     pub(crate) fn run(mut self) -> (Found, Self) {
         let mut agreeing = 0;
@@ -179,12 +178,12 @@ impl<'s, 'a> Search<'s, 'a> {
                 break;
             }
             let nothing = self.without(Class::First).min(self.best().map_or(f64::INFINITY, |c| self.without(c.class)));
-            // One view of the error may miss what another one shows.
+            // One filter of the error may miss what another shows.
             if number >= 1 && best > (1.0 - self.settings.worth_a_round) * nothing && !self.shows_in_part {
                 self.found.ended = Ended::NoFriction;
                 break;
             }
-            // Where much is left the law does not fit, and another round finds no other.
+            // If much is left, the law does not fit, and another round would find the same.
             let is_much = best > self.settings.much * nothing && !self.shows_in_part;
             let enough = if is_much { 1 } else { self.settings.agreeing };
             if agreeing >= enough {
@@ -197,8 +196,8 @@ impl<'s, 'a> Search<'s, 'a> {
         (found, self)
     }
 
-    /// Whether the stem turns so seldom that several pairs of bands can leave nothing but noise: the first such pair is then
-    /// not yet the best.
+    /// Whether the stem reverses so seldom that several pairs of bands can leave only noise: then the first such pair need not
+    /// be the best.
     fn stem_turns_seldom(&self) -> bool {
         self.best().is_some_and(|c| c.reversals < self.settings.few_reversals)
     }
@@ -208,17 +207,18 @@ impl<'s, 'a> Search<'s, 'a> {
         self.found.best.iter().copied().min_by(|a, b| a.sse().total_cmp(&b.sse()))
     }
 
-    /// One round of all laws that are worth it, stage by stage, the better one first; says why the search ends, if it does.
+    /// One round of all laws still in the running, stage by stage, the better law first; returns why the search ends, if it
+    /// does.
     fn round(&mut self, number: usize, round: &RoundSettings) -> Option<Ended> {
         let points = self.part(round);
         let mut runs: Vec<LawRound<'a>> = Vec::new();
         for &law in self.request.laws {
             let other = self.law_best[usize::from(law == Law::He)];
-            // One round of a law may miss what it can.
+            // A law may miss its best fit in one round.
             if number > 1 && self.law_best[law as usize] > self.settings.behind[1] * other {
                 continue;
             }
-            // The laws are alike enough that where one sees no friction the other need not be asked.
+            // The laws are similar enough: if one sees no friction, the other need not be searched.
             if let Some(first) = runs.first_mut()
                 && first.least() > self.settings.no_friction * self.without(Class::First)
             {
@@ -251,7 +251,7 @@ impl<'s, 'a> Search<'s, 'a> {
         self.end_of(number, round, runs)
     }
 
-    /// What becomes of a round's laws, the best first.
+    /// Finishes the laws of a round, the best first.
     fn end_of(&mut self, number: usize, round: &RoundSettings, runs: Vec<LawRound<'a>>) -> Option<Ended> {
         let mut faint = true;
         self.shows_in_part = false;
@@ -288,7 +288,7 @@ impl<'s, 'a> Search<'s, 'a> {
         self.best().is_some_and(|c| c.class.integrates() || slow(c))
     }
 
-    /// A law's round: its coarse scan, what it liked refitted.
+    /// Starts a law's round: its coarse scan, and refits of the best candidates.
     fn begin(&mut self, law: Law, number: usize, round: &RoundSettings, points: usize) -> LawRound<'a> {
         let mut rng = seeded_rng(self.request.seed, 10 + 2 * number as u64 + u64::from(law == Law::Tracking));
         let mut view = self.view_of_part(round.rho, points);
@@ -306,7 +306,7 @@ impl<'s, 'a> Search<'s, 'a> {
         LawRound::new(part, rng, scan)
     }
 
-    /// Where the first look did not end the search: closer looks, then the class of process that the best slips ask for.
+    /// If the first look did not end the search: closer looks, then the choice of the class of process.
     fn look_closer(&mut self, round: &RoundSettings, run: &mut LawRound<'a>, [count, steps]: [usize; 2]) {
         let near = self.settings.near;
         let LawRound { part, scan, rng, .. } = run;
@@ -333,7 +333,7 @@ impl<'s, 'a> Search<'s, 'a> {
         }
     }
 
-    /// Looks for slips anew where the best of the part ask for a second lag.
+    /// Repeats the search for slips if the best candidates of the part need a second lag.
     fn look_behind_lag(&mut self, round: &RoundSettings, run: &mut LawRound<'a>, [count, steps]: [usize; 2]) {
         let LawRound { part, scan, rng, .. } = run;
         let Some(best) = part.held.first().copied() else { return };
@@ -349,7 +349,7 @@ impl<'s, 'a> Search<'s, 'a> {
         part.held = apart(&refitted, usize::MAX, 0);
     }
 
-    /// A part behind the filter `1 - rho q^-1`, or behind a weaker one where noise would be most of what the filter leaves.
+    /// A part filtered by `1 - rho q^-1`, or by a weaker filter if that one would leave mostly noise.
     fn view_of_part(&self, rho: f64, points: usize) -> View {
         let weaker = WEAKER.into_iter().filter(|w| *w < rho);
         let views = [rho].into_iter().chain(weaker).map(|rho| self.problem.view(rho, points));
@@ -360,7 +360,7 @@ impl<'s, 'a> Search<'s, 'a> {
         views.next().unwrap_or_else(|| self.problem.view(0.0, points))
     }
 
-    /// What another law found, under this one: slips of nearly the right bands are the right ones for either.
+    /// Candidates of the other law refitted under this one: slips with nearly the right bands suit both laws.
     fn seeds_of_other_law(
         &self,
         evaluator: &mut Evaluator<'a>,
@@ -382,8 +382,8 @@ impl<'s, 'a> Search<'s, 'a> {
         out
     }
 
-    /// One more stage of a law's local search on the part, its best tested on the whole record; `other` is the least error of
-    /// other laws in this round.
+    /// One more stage of a law's local search on the part, with its best candidate tested on the whole record; `other` is the
+    /// least error of other laws in this round.
     fn stage(&mut self, round: &RoundSettings, run: &mut LawRound<'a>, other: f64) {
         let Some((count, steps)) = round.stages.get(run.stage).copied() else {
             run.open = false;
@@ -417,7 +417,7 @@ impl<'s, 'a> Search<'s, 'a> {
         }
     }
 
-    /// Whether hardly any friction shows in the part, either: on the whole record it may not show yet.
+    /// Whether hardly any friction is visible in the part either: on the whole record it may not show yet.
     fn is_faint_in_part(&self, run: &mut LawRound<'a>) -> bool {
         let LawRound { part, without, .. } = run;
         let class = part.evaluator.class;
@@ -429,12 +429,12 @@ impl<'s, 'a> Search<'s, 'a> {
         part.held.first().is_none_or(|c| c.sse() > FAINT_IN_PART * nothing)
     }
 
-    /// Whether rounds before this one have shown that no model leaves noise only.
+    /// Whether earlier rounds have shown that no model leaves only noise.
     const fn is_real(&self) -> bool {
         self.found.rounds > 1
     }
 
-    /// Carries a candidate from the part to the whole record; whether it leaves nothing but noise there.
+    /// Carries a candidate from the part to the whole record; returns whether it leaves only noise there.
     fn test(&mut self, run: &mut LawRound<'a>, best: Candidate) -> bool {
         let near = self.settings.near;
         let LawRound { part, tested, finals, rng, .. } = run;
@@ -462,8 +462,8 @@ impl<'s, 'a> Search<'s, 'a> {
         is_noise
     }
 
-    /// From the part to the whole record, twice the length at a time, by the error of the part: what a slip a little wrong
-    /// leaves adds up in the plain error behind an integrator.
+    /// From the part to the whole record in steps of twice the length, by the part's filtered error: behind an integrator a
+    /// slightly wrong slip accumulates in the plain error.
     fn carried(&mut self, part: &Part<'a>, best: Candidate, rng: &mut ChaCha8Rng) -> Option<Candidate> {
         let (n, near) = (self.problem.points(), self.settings.near);
         let mut found = best;
@@ -482,7 +482,7 @@ impl<'s, 'a> Search<'s, 'a> {
         Some(neighbours(&mut self.whole, &mut self.plain, found, 4, near))
     }
 
-    /// The last steps on the whole record; whether what they lead to leaves only noise.
+    /// The last steps on the whole record; returns whether the result leaves only noise.
     fn finish(&mut self, round: &RoundSettings, run: LawRound<'a>) -> bool {
         let near = self.settings.near;
         let LawRound { part, mut finals, tested, faint, is_noise, mut rng, .. } = run;
@@ -543,7 +543,7 @@ impl<'s, 'a> Search<'s, 'a> {
         }
     }
 
-    /// Whether a candidate, fitted to the plain error of the whole record, leaves nothing but noise.
+    /// Whether a candidate, fitted to the plain error of the whole record, leaves only noise.
     pub(crate) fn is_noise(&mut self, of: &Candidate) -> bool {
         if of.sse() < ROUNDING * self.plain.count() {
             return true;
@@ -565,7 +565,7 @@ impl<'s, 'a> Search<'s, 'a> {
     }
 }
 
-/// Tests of a residual from the view's first point on; `None` where it is plainly coloured.
+/// Whiteness tests of a residual from the view's first point on; `None` if it is clearly coloured.
 fn tests(problem: &Problem<'_>, view: &View, left: &[f64]) -> Option<Whiteness> {
     if stats::autocorrelation_1(left).abs() > COLOURED {
         return None;

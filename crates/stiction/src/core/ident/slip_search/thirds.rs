@@ -1,8 +1,8 @@
 //! Refits bands and process to each third of the record, starting near the answer. The valve is simulated from the record's
-//! beginning, because where the stem stands depends on everything before.
+//! beginning, because the stem's position depends on everything before.
 //!
 //! A valve has one size within a window, so the spread of the thirds measures what one model's likelihood cannot: a stem that
-//! does not follow the law, a load, a process that changes with the operating point.
+//! deviates from the law, a load, a process that changes with the operating point.
 
 use super::candidate::{Candidate, apart};
 use super::evaluator::Evaluator;
@@ -12,21 +12,23 @@ use crate::core::ident::random::seeded_rng;
 use crate::core::ident::width::{THIRDS, Third};
 use rand_chacha::ChaCha8Rng;
 
-/// A third's search also starts from sizes up to this far from the answer, in ln s.
+/// Largest distance in ln s between the answer and the sizes that a third's search also starts from.
 const REACH: f64 = 0.7;
-/// Such starts on either side.
+/// Number of such sizes on either side.
 const SIZES: i32 = 7;
 /// Rivals of the answer that it also starts from.
 const RIVALS: usize = 6;
-/// Error over the best up to which a place is refined, places followed, random steps from each, rounds through neighbours.
+/// Error relative to the best one up to which a place is refined, places followed, random steps from each, rounds through
+/// neighbours.
 const WORTH: f64 = 1.1;
 const FOLLOWED: usize = 2;
 const STEPS: usize = 24;
 const ROUNDS: usize = 2;
-/// Fewest changes of the stem's direction in a third that says anything of the bands.
+/// Fewest reversals of the stem in a third from which the bands can be fitted.
 const LEAST_REVERSALS: usize = 2;
 
-/// What each third says, by the error behind `1 - rho q^-1`, in spans and points; none of one in which the stem hardly turns.
+/// Bands of each third, by the error filtered with `1 - rho q^-1`, in spans and points; `None` for a third in which the stem
+/// hardly reverses.
 pub(crate) fn thirds(
     evaluator: &mut Evaluator<'_>,
     rho: f64,
@@ -78,7 +80,7 @@ fn third(
     Some(Third { s, j, gain: found.fit.gain / best.fit.gain, dead_time: found.fit.lag() })
 }
 
-/// Bands beside those of a candidate: other sizes, with the same shape and with the same kinetic band.
+/// Bands of other sizes than a candidate's, with the same shape and with the same kinetic band.
 fn sizes(of: &Candidate) -> impl Iterator<Item = [f64; 2]> + use<> {
     let (s, j) = (of.s, of.j);
     (-SIZES..=SIZES).filter(|k| *k != 0).flat_map(move |k| {
