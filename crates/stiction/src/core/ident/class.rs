@@ -1,4 +1,4 @@
-//! The classes of process model, each as a response to the valve signal plus the course its own memory runs down in.
+//! Classes of process model: the response to the valve signal, and the free response of the initial state (the "memory").
 //!
 //! Lags, times and gains are in points here.
 
@@ -11,14 +11,13 @@ pub enum Class {
     First,
     /// Two different lags in series with dead time.
     Second,
-    /// Integrator with dead time, its input's bias free.
+    /// Integrator with dead time; its input's bias is fitted.
     Integrating,
     /// Lag before an integrator, with dead time.
     LagIntegrating,
 }
 
-/// What is searched besides the linear coefficients: logarithms of the time constants (points), then the lag
-/// (points). Unused places are 0.
+/// Nonlinear parameters: logarithms of the time constants (points), then the lag (points). Unused entries are 0.
 pub type Shape = [f64; 3];
 
 /// Limits of [`Shape`].
@@ -30,7 +29,7 @@ pub struct Limits {
     pub lag: [f64; 2],
 }
 
-/// Points by which an integrator's gain is scaled, so that its course is of the size of its input.
+/// Scale of an integrator's gain, points: its response then has the size of its input.
 pub(super) const INTEGRATOR_SCALE: f64 = 50.0;
 
 impl Class {
@@ -44,7 +43,7 @@ impl Class {
         }
     }
 
-    /// Columns of the process' own memory, the constant included.
+    /// Columns of the process's memory, including the constant.
     #[must_use]
     pub(crate) const fn memory_len(self) -> usize {
         match self {
@@ -68,13 +67,13 @@ impl Class {
         }
     }
 
-    /// Whether it integrates.
+    /// Whether the class integrates.
     #[must_use]
     pub(crate) const fn integrates(self) -> bool {
         matches!(self, Self::Integrating | Self::LagIntegrating)
     }
 
-    /// The shape with these time constants, those that the class lacks left out, and a lag, points.
+    /// The shape with these time constants, as far as the class has them, and a lag, points.
     #[must_use]
     pub(crate) fn shape(self, taus: [f64; 2], lag: f64) -> Shape {
         let [a, b] = taus.map(libm::log);
@@ -85,7 +84,7 @@ impl Class {
         }
     }
 
-    /// A shape inside the limits; the two lags of [`Class::Second`] are kept in falling order and apart.
+    /// A shape limited to the allowed range; the two lags of [`Class::Second`] are kept distinct and in falling order.
     #[must_use]
     pub(crate) fn clamp(self, mut shape: Shape, limits: &Limits) -> Shape {
         let last = self.shape_len() - 1;
@@ -138,8 +137,8 @@ impl Class {
         }
     }
 
-    /// Column `index` of the process' own memory at points `from..from + n`, filtered by `1 - rho q^-1`; shorter where
-    /// nothing is left of it.
+    /// Column `index` of the process's memory at points `from..from + n`, filtered by `1 - rho q^-1`; ends where it has
+    /// decayed.
     pub(crate) fn memory(self, shape: &Shape, index: usize, from: usize, n: usize, rho: f64, out: &mut Vec<f64>) {
         out.clear();
         let slot = match (self, index) {
@@ -148,7 +147,7 @@ impl Class {
                 return;
             }
             (Self::Integrating | Self::LagIntegrating, 1) => {
-                // The same for every length, so that coefficients carry over.
+                // The scale does not depend on the length, so that coefficients carry over.
                 let scale = 1e-3;
                 out.extend((0..n).map(|k| ((from + k) as f64 - rho * ((from + k) as f64 - 1.0)) * scale));
                 return;
@@ -164,7 +163,7 @@ impl Class {
         }
     }
 
-    /// Gain in valve units to signal units (a point, when integrating) of the coefficient of the unit response.
+    /// Gain in signal units per valve unit (per point if integrating) from the coefficient of the unit response.
     #[must_use]
     pub(crate) fn gain(self, coefficient: f64) -> f64 {
         if self.integrates() { coefficient / INTEGRATOR_SCALE } else { coefficient }

@@ -1,10 +1,10 @@
-//! The controller, read from the record: gain, integral and derivative time from how OP follows PV.
+//! Identifies the controller from the record: gain, integral and derivative time from how OP responds to PV.
 //!
 //! A PID controller in velocity form moves OP between samples k - m and k by
-//! `Kc [e(k) - e(k - m)] + Kc Ts/Ti sum e + Kc Td/Ts [d(k) - d(k - m)]`, e the error and d the (filtered) move of -PV
-//! (Åström and Hägglund 1995, ch. 3). That is linear in its gains, needs no process model and holds whatever the valve
-//! does, so robust least squares finds them. PV may be stamped before or after the OP that was computed from it: every
-//! lag is tried, and the controller counts as read only where one lag leads clearly.
+//! `Kc [e(k) - e(k - m)] + Kc Ts/Ti sum e + Kc Td/Ts [d(k) - d(k - m)]`, where e is the error and d the (filtered) move of -PV
+//! (Åström and Hägglund 1995, ch. 3). This is linear in its gains, needs no process model and holds whatever the valve does, so
+//! robust least squares finds the gains. PV may be stamped before or after the OP that was computed from it: every lag is tried,
+//! and the controller counts as identified only if one lag leads clearly.
 
 use core::cell::RefCell;
 
@@ -12,65 +12,64 @@ use super::robust::{Regression, Regressor};
 use crate::core::record::Record;
 use crate::core::signal::stats;
 
-/// A controller as read from a record.
+/// A controller identified from a record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reading {
-    /// Proportional gain, OP units per PV unit of the error SP - PV: positive where OP falls when PV rises (reverse
-    /// action, for processes of positive gain), negative where OP rises with PV.
+    /// Proportional gain, OP units per PV unit of the error SP - PV: positive if OP falls when PV rises (reverse action, for
+    /// processes of positive gain), negative if OP rises with PV.
     pub kc: f64,
-    /// Integral time, s; infinite where no integral action shows.
+    /// Integral time, s; infinite if no integral action is visible.
     pub ti_s: f64,
-    /// Derivative time, s; 0 where no derivative action shows.
+    /// Derivative time, s; 0 if no derivative action is visible.
     pub td_s: f64,
-    /// Raw samples by which the recorded OP comes after the PV that it was computed from; negative where PV is stamped
-    /// after it.
+    /// Raw samples by which the recorded OP follows the PV from which it was computed; negative if PV is stamped later.
     pub lag_samples: f64,
     /// Share of the variance of OP's moves explained.
     pub r2: f64,
     /// Share of the record, 0..1, in long stretches where this controller does not explain OP: another mode, or another
-    /// controller. Stretches with OP at a limit are left out beforehand.
+    /// controller. Stretches with OP at a limit are excluded beforehand.
     pub unexplained: f64,
 }
 
-/// Lags tried, points; the outer two only bound the others, since the true lag may lie beyond them.
+/// Lags tried, points; the outer two only bound the others, because the true lag may lie beyond them.
 const LAGS: [isize; 2] = [-3, 4];
-/// Widths of the moves, points: wide ones stand above OP's rounding, narrow ones show the lag best.
+/// Widths of the moves, points: wide moves exceed OP's rounding, narrow ones show the lag best.
 const WIDTHS: [usize; 3] = [1, 4, 16];
-/// Share of OP's moves above which a reading is evidence of which signals belong together: one real process of 114 reads
+/// Share of OP's moves explained from which a reading proves which signals belong together: of 114 real processes one reads
 /// like a controller, with 0.95.
 pub const CERTAIN_R2: f64 = 0.98;
-/// Least share of OP's moves that a reading explains.
+/// Smallest share of OP's moves that a reading must explain.
 const MIN_R2: f64 = 0.9;
 /// The runner-up lag must leave at least this many times the variance unexplained.
 const LEAD: f64 = 1.5;
-/// What is more to fit must leave at most this share of the unexplained variance.
+/// Largest share of the unexplained variance that an additional term may leave.
 const EARNS: f64 = 0.7;
-/// Share of it that must go at the best plain lag for other lags to be looked at.
+/// The same at the best plain lag; a term that leaves more there is not tried at other lags.
 const HELPS: f64 = 0.97;
-/// Share unexplained that counts as none.
+/// Share unexplained that counts as zero.
 const EXACT: f64 = 1e-9;
-/// Ways of reading that are looked at closely, and steps of golden section towards the best filter.
+/// Number of forms refined, and steps of golden section towards the best filter.
 const BEST_SHAPES: usize = 3;
 const REFINEMENTS: usize = 10;
-/// Time constants of the filters that are tried on the derivative and on PV, points.
+/// Time constants of the filters tried on the derivative and on PV, points.
 const FILTERS: [f64; 6] = [0.0, 0.3, 0.7, 1.5, 3.0, 6.0];
-/// Fewest points that are read.
+/// Fewest points.
 const MIN_POINTS: usize = 60;
-/// Points of a stretch that is judged as one, residual power over the usual, and over the moves' own, from which it
-/// counts as unexplained, and the largest share that may be so.
+/// Points per stretch; residual power relative to the usual power, and relative to that of the moves, from which a stretch
+/// counts as unexplained; and the largest share of unexplained stretches.
 const STRETCH: usize = 25;
 const UNUSUAL: f64 = 20.0;
 const POOR: f64 = 0.5;
 const MOST_UNEXPLAINED: f64 = 0.5;
 
-/// Reads the controller; `None` where no lag leads, too little is explained, or the signs of proportional and integral
-/// part disagree.
+/// Identifies the controller; `None` if no lag leads, too little is explained, or the proportional and integral parts have
+/// different signs.
 #[must_use]
 pub fn read(record: &Record) -> Option<Reading> {
     read_within(record, LAGS)
 }
 
-/// As [`read`], with other lags tried, points; the outer two only bound the others.
+/// As [`read`], for other lags, points; the outer two only bound the others.
 #[must_use]
 pub(crate) fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> {
     let signals = Signals { lags, ..Signals::of(record)? };
@@ -79,7 +78,7 @@ pub(crate) fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> 
         for width in WIDTHS {
             let shape = Shape { form, width, extra: Extra::None };
             let fits = signals.all_lags(&signals.columns(shape));
-            // Nothing can explain more than all of it.
+            // Nothing can explain more than everything.
             let exact = (least(&fits) < EXACT).then(|| signals.report(shape, &fits)).flatten();
             if let Some((_, reading)) = exact.filter(|(lead, r)| *lead >= LEAD && r.unexplained == 0.0) {
                 return Some(reading);
@@ -87,7 +86,7 @@ pub(crate) fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> 
             plain.push((shape, fits));
         }
     }
-    // The few best ways of reading get a derivative or a filter where it earns its place.
+    // The best few forms get a derivative or a filter if it earns its place.
     plain.sort_by(|a, b| least(&a.1).total_cmp(&least(&b.1)));
     let mut best: Option<Reading> = None;
     for (shape, fits) in plain.into_iter().take(BEST_SHAPES) {
@@ -99,30 +98,30 @@ pub(crate) fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> 
     best.filter(|r| r.r2 >= MIN_R2 && r.unexplained <= MOST_UNEXPLAINED)
 }
 
-/// What the error is made of.
+/// Signals in the control error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Form {
-    /// The set point is constant, or not known: a constant takes it up.
+    /// The set point is constant or unknown: a constant absorbs it.
     Pv,
     /// The set point is in both parts.
     Error,
     /// The set point is in the integral part only.
     ErrorIntegral,
-    /// As [`Form::Pv`], but all differenced once more: set points that step unseen leave single outliers.
+    /// As [`Form::Pv`], but differenced once more: unrecorded steps of the set point then leave single outliers.
     Unseen,
 }
 
-/// What is between PV and a plain PI controller.
+/// Dynamics between PV and a plain PI controller.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Extra {
     None,
-    /// A derivative behind a filter of this time constant, points.
+    /// A derivative with a filter of this time constant, points.
     Derivative(f64),
     /// A filter of this time constant on PV, points.
     Filter(f64),
 }
 
-/// One way of reading.
+/// One regression model.
 #[derive(Debug, Clone, Copy)]
 struct Shape {
     form: Form,
@@ -145,7 +144,7 @@ struct Signals {
     op: Vec<f64>,
     pv: Vec<f64>,
     sp: Option<Vec<f64>>,
-    /// Where OP stands at its highest or lowest value, if it comes to rest there.
+    /// Samples at OP's highest or lowest value, if OP rests there.
     limited: Vec<bool>,
     boxed: bool,
     box_samples: f64,
@@ -153,20 +152,20 @@ struct Signals {
     work: RefCell<Work>,
 }
 
-/// Memory that is used again for every fit.
+/// Buffers reused for every fit.
 #[derive(Debug, Default)]
 struct Work {
     regressor: Regressor,
     used: Vec<bool>,
 }
 
-/// What is regressed in one way of reading, by the point at which a move ends: slices of it serve every lag.
+/// Columns of one regression model, by the point at which a move ends: slices of them serve every lag.
 struct Columns {
     shape: Shape,
     op: Vec<f64>,
-    /// Moves of the proportional, integral and derivative parts; the last one empty without a derivative.
+    /// Moves of the proportional, integral and derivative parts; the last is empty without a derivative.
     parts: [Vec<f64>; 3],
-    /// Which moves have OP off its limits all the way; empty where all have.
+    /// Moves during which OP is never at a limit; empty if this holds for all.
     free: Vec<bool>,
 }
 
@@ -204,8 +203,8 @@ impl Signals {
         }
     }
 
-    /// The reading in one form and width, with derivative or filter where one earns its place, and by how many times
-    /// the runner-up lag leaves more unexplained.
+    /// The reading in one form and width, with a derivative or filter if one earns its place, and the ratio of the variance
+    /// that the runner-up lag leaves unexplained to that of the best lag.
     fn read(&self, plain: Shape, fits: Vec<Fit>) -> Option<(f64, Reading)> {
         let (mut shape, mut error, mut fits) = (plain, least(&fits), fits);
         let lag = fits.iter().max_by(|a, b| a.regression.r2.total_cmp(&b.regression.r2))?.lag;
@@ -214,11 +213,11 @@ impl Signals {
             if error < EXACT {
                 break;
             }
-            // The best lag may be another one once the extra part is there.
+            // The additional term may shift the best lag.
             let near = (lag - 2).max(self.lags[0])..=(lag + 2).min(self.lags[1]);
             let with = |filter: f64| self.columns(Shape { extra: make(filter), ..plain });
             let tried = FILTERS.map(|filter| (filter, with(filter)));
-            // What helps not at all at this lag is not looked for at the lags beside it.
+            // A term that does not help at this lag is not tried at the neighbouring lags.
             if tried.iter().all(|(_, columns)| self.error(columns, lag) > HELPS * error) {
                 continue;
             }
@@ -241,7 +240,7 @@ impl Signals {
         (self.lags[0]..=self.lags[1]).filter_map(|lag| self.fit(columns, lag)).collect()
     }
 
-    /// Share of OP's moves that a fit leaves unexplained; infinite where there is none.
+    /// Share of OP's moves that a fit leaves unexplained; infinite without a fit.
     fn error(&self, columns: &Columns, lag: isize) -> f64 {
         self.fit(columns, lag).map_or(f64::INFINITY, |fit| 1.0 - fit.regression.r2)
     }
@@ -258,10 +257,10 @@ impl Signals {
         let [kc, ki, kd, ..] = best.regression.coefficients;
         let derivative = matches!(shape.extra, Extra::Derivative(_));
         let td = if derivative { kd / kc } else { 0.0 };
-        // Integral action that would need a hundred records to answer is none.
+        // Integral action too slow to act within a hundred records counts as absent.
         let idle = ki.abs() * self.op.len() as f64 * 100.0 < kc.abs();
         let ti = if idle { f64::INFINITY } else { kc / ki };
-        // A derivative time beyond the integral time is a fit to something else.
+        // A derivative time beyond the integral time does not come from a controller.
         if kc == 0.0 || ti.is_nan() || ti <= 0.0 || td < 0.0 || td > ti {
             return None;
         }
@@ -276,7 +275,7 @@ impl Signals {
         Some((lead, reading))
     }
 
-    /// OP's moves regressed at one lag; once more without the stretches that the first fit leaves unexplained.
+    /// Regresses OP's moves at one lag, and again without the stretches that the first fit leaves unexplained.
     fn fit(&self, columns: &Columns, lag: isize) -> Option<Fit> {
         let [from, to] = self.range(columns.shape, lag);
         let y = columns.op.get(from..to)?;
@@ -310,14 +309,14 @@ impl Signals {
         [(from + twice).min(to), to]
     }
 
-    /// OP's moves, and those of the proportional, integral and derivative parts, of one way of reading.
+    /// OP's moves, and those of the proportional, integral and derivative parts, for one form.
     fn columns(&self, shape: Shape) -> Columns {
         let n = self.op.len();
         let pv = lagged(&self.pv, if let Extra::Filter(tau) = shape.extra { tau } else { 0.0 });
         let sp = self.sp.as_deref();
         let with_sp = |k: usize| sp.map_or(0.0, |sp| sp[k]);
         let middle = stats::mean(&pv) - sp.map_or(0.0, stats::mean);
-        // Boxes: PV's means stand for the middle of a box, OP's last value for its end.
+        // Bins: PV's mean belongs to the middle of a bin, OP's last value to its end.
         let end = |x: &[f64], k: usize| if self.boxed { 0.5 * (x[k] + x[(k + 1).min(n - 1)]) } else { x[k] };
         let proportional: Vec<f64> = match (shape.form, sp) {
             (Form::Error, Some(sp)) => (0..n).map(|k| end(sp, k) - end(&pv, k)).collect(),
@@ -345,15 +344,15 @@ impl Signals {
         Columns { shape, op: of(&self.op), parts: [of(&proportional), of(&sum), of(&derivative)], free }
     }
 
-    /// Which moves over `width` points have OP off its limits all the way, and the move before where they count `twice`.
+    /// Moves over `width` points during which OP is never at a limit; with `twice`, the previous move must be free, too.
     fn free(&self, width: usize, twice: bool) -> Vec<bool> {
         let once = |k: usize| k >= width && (k - width..=k).all(|i| !self.limited[i]);
         (0..self.op.len()).map(|k| once(k) && (!twice || (k > 0 && once(k - 1)))).collect()
     }
 }
 
-/// Moves over `width` points by the point at which they end, 0 where they would begin before the first; `twice`: less
-/// the move that ends a point before.
+/// Moves over `width` points by the point at which they end, 0 if they would begin before the first point; with `twice`, minus
+/// the move that ends one point earlier.
 fn moves(x: &[f64], width: usize, twice: bool) -> Vec<f64> {
     let mut out = vec![0.0; width.min(x.len())];
     out.extend(x.iter().skip(width).zip(x).map(|(now, before)| now - before));
@@ -365,12 +364,12 @@ fn moves(x: &[f64], width: usize, twice: bool) -> Vec<f64> {
     out
 }
 
-/// Least share unexplained.
+/// Smallest unexplained share.
 fn least(fits: &[Fit]) -> f64 {
     fits.iter().map(|f| 1.0 - f.regression.r2).fold(f64::INFINITY, f64::min)
 }
 
-/// The place of the least cost between the neighbours of `start` in [`FILTERS`], by golden section.
+/// The filter of least cost between the neighbours of `start` in [`FILTERS`], by golden section.
 fn finest(start: f64, cost: impl Fn(f64) -> f64) -> f64 {
     let low = FILTERS.into_iter().filter(|f| *f < start).fold(0.0, f64::max);
     let high = FILTERS.into_iter().filter(|f| *f > start).fold(2.0 * start + 0.1, f64::min);
@@ -393,7 +392,7 @@ fn finest(start: f64, cost: impl Fn(f64) -> f64) -> f64 {
     if cost(start) <= at_c.min(at_d) { start } else { middle }
 }
 
-/// `x` behind a first-order lag of `tau` points (backward difference), from rest.
+/// `x` filtered by a first-order lag of `tau` points (backward difference), starting at rest.
 fn lagged(x: &[f64], tau: f64) -> Vec<f64> {
     if tau <= 0.0 {
         return x.to_vec();
@@ -408,7 +407,7 @@ fn lagged(x: &[f64], tau: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Which values are the highest or the lowest of all, where one of these is held for three samples in a row.
+/// Values at the overall maximum or minimum, if one of these is held for three samples in a row.
 fn limited(op: &[f64]) -> Vec<bool> {
     let high = op.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let low = op.iter().copied().fold(f64::INFINITY, f64::min);
@@ -417,8 +416,8 @@ fn limited(op: &[f64]) -> Vec<bool> {
     op.iter().map(|u| (at_high && *u == high) || (at_low && *u == low)).collect()
 }
 
-/// Puts down which samples lie in stretches that a fit explains as well as usual, or nearly as well as the moves there
-/// allow, and are free; counts those in other stretches. Samples that are not free do not count for a stretch.
+/// Marks the free samples in stretches that a fit explains as well as usual, or nearly as well as the moves there allow;
+/// returns the number of samples in other stretches. Samples that are not free do not count.
 fn explained(y: &[f64], left: &[f64], free: Option<&[bool]>, used: &mut Vec<bool>) -> usize {
     let of = |from: usize| {
         let (mut count, mut powers) = (0, [0.0; 3]);
@@ -462,7 +461,7 @@ mod tests {
             .collect()
     }
 
-    /// OP of a PI controller on PV.
+    /// OP of a PI controller acting on PV.
     fn pi(pv: &[f64], sp: f64, kc: f64, ti: f64) -> Vec<f64> {
         let mut integral = 0.0;
         pv.iter()
@@ -488,7 +487,7 @@ mod tests {
         let pv = wave(700);
         let op = pi(&pv, 50.0, 1.0, 30.0);
         for skew in [-1_isize, 0, 2] {
-            // OP comes `skew` samples after its PV.
+            // OP is recorded `skew` samples after its PV.
             let later: Vec<f64> = (5..690).map(|k: usize| op[(k as isize - skew) as usize]).collect();
             let found = read(&Record::uniform(1.0, later, pv[5..690].to_vec())).unwrap();
             assert_eq!(found.lag_samples, skew as f64);

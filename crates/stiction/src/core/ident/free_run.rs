@@ -1,7 +1,7 @@
-//! A model that was made elsewhere, run freely over a record: how well it predicts what it was not fitted to.
+//! Runs a model from elsewhere freely over a record: how well it predicts data that it was not fitted to.
 //!
-//! Valve and process stay as they are. Only what no earlier record can know is found anew: the level (for an integrating
-//! process its drift as well), the process' own memory of what went before, and where the stem stood at the start.
+//! Valve and process stay fixed. Only quantities that no earlier record can determine are fitted: the level (for an integrating
+//! process its drift as well), the process's initial state, and the initial stem position.
 
 use super::choice::Options;
 use super::class::{Class, Limits, Shape};
@@ -13,13 +13,13 @@ use crate::core::record::Record;
 use crate::core::signal::stats;
 use crate::core::sim::slips::Law;
 
-/// Most first slips that are tried in either direction.
+/// Most first slips tried in either direction.
 const STARTS: usize = 256;
 
-/// What a free run left.
+/// Result of a free run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FreeRun {
-    /// Root mean squared error of the points that count, PV units.
+    /// Root mean squared error over the counted points, PV units.
     pub rmse: f64,
     /// A stem position, OP units, at which the process rests at `rest_pv`.
     pub rest_op: f64,
@@ -29,8 +29,7 @@ pub struct FreeRun {
 
 /// The best free run of `model` over `record`; points up to `after_ns` are simulated and do not count.
 ///
-/// `None` where a signal does not move, a number of the model cannot be used, its class is unknown, or fewer than
-/// 30 points count.
+/// `None` if a signal is constant, a parameter of the model is unusable, its class is unknown, or fewer than 30 points count.
 #[must_use]
 pub fn free_run(record: &Record, model: &Model, after_ns: i64) -> Option<FreeRun> {
     let normalised = NormalisedRecord::of(record, &Options::default()).ok()?;
@@ -95,7 +94,7 @@ impl Run<'_> {
         found.filter(|b| b.rmse.is_finite()).min_by(|a, b| a.rmse.total_cmp(&b.rmse))
     }
 
-    /// Every first slip that a stem within the band can make: each running extreme of OP up to two bands away.
+    /// Every possible first slip of a stem within the band: each running extreme of OP up to two bands away.
     fn starts(&self, fs: f64) -> Vec<Start> {
         let mut starts = Vec::new();
         for (list, up) in self.normalised.extremes.iter().zip([true, false]) {
@@ -107,7 +106,7 @@ impl Run<'_> {
         starts
     }
 
-    /// What is left behind the best level, drift and memory.
+    /// Fits level, drift and memory to the residual; the error that remains.
     fn levelled(&self, stem: &[f64], response: &[f64]) -> Found {
         let n = stem.len() - self.from;
         let left = self.normalised.pv.iter().zip(response).skip(self.from);
@@ -116,7 +115,7 @@ impl Run<'_> {
         let mut columns = vec![Vec::new(); count];
         for (index, column) in columns.iter_mut().enumerate() {
             self.class.memory(&self.shape, index, self.from, n, 0.0, column);
-            // What has died away is left out there.
+            // A memory that has decayed ends early.
             column.resize(n, 0.0);
         }
         let mut views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();

@@ -1,9 +1,9 @@
-//! What the record of a healthy valve would have looked like behind one that sticks.
+//! Simulates how a healthy valve's record would have looked with a sticking valve.
 //!
-//! The process that moves PV is the best one without friction, of the class that was found. The hypothetical PV is the
-//! recorded one plus that process' answer to the difference between the hypothetical stem and OP: noise and disturbances
-//! stay as they were. OP stays too, although the controller would have answered: it would have gone farther until the
-//! stem moved, so a large band looks larger and moves the stem less often here than it would have done.
+//! The process is the best one without friction, of the fitted class. The hypothetical PV is the recorded one plus the
+//! process's response to the difference between the hypothetical stem and OP: noise and disturbances stay the same. OP stays
+//! the same too, although the controller would have reacted: it would have moved OP farther until the stem moved, so here a
+//! large band looks larger and moves the stem less often than it would in closed loop.
 
 use super::choice::Options;
 use super::class::Class;
@@ -20,7 +20,7 @@ use crate::core::record::Record;
 use crate::core::signal::stats;
 use crate::core::sim::slips::Law;
 
-/// A record and its process, with any valve in front of it.
+/// A record and its process, for simulating any valve in front of it.
 #[derive(Debug)]
 pub(crate) struct Hypothetical<'a> {
     record: &'a Record,
@@ -33,11 +33,11 @@ pub(crate) struct Hypothetical<'a> {
 /// One hypothetical valve.
 #[derive(Debug, Clone)]
 pub(crate) struct HypotheticalValve {
-    /// PV behind it, PV units.
+    /// PV with this valve, PV units.
     pub pv: Vec<f64>,
     /// s over the robust span of OP.
     pub s_over_span: f64,
-    /// Changes of the stem's direction.
+    /// Reversals of the stem.
     pub reversals: usize,
     /// s and j, spans of OP.
     bands: [f64; 2],
@@ -47,8 +47,8 @@ pub(crate) struct HypotheticalValve {
 }
 
 impl<'a> Hypothetical<'a> {
-    /// Takes the process out of a record whose valve is taken for healthy; `estimate` is what [`super::quantify()`] made of
-    /// it with the same `options`. `None` where no process shows.
+    /// Identifies the process of a record whose valve is assumed healthy; `estimate` comes from [`super::quantify()`] with the
+    /// same `options`. `None` if no process is visible.
     #[must_use]
     pub(crate) fn new(record: &'a Record, options: &Options, estimate: &Estimate) -> Option<Self> {
         let normalised = NormalisedRecord::of(record, options).ok()?;
@@ -59,14 +59,14 @@ impl<'a> Hypothetical<'a> {
         (process.gain != 0.0).then_some(Self { record, normalised, class, sign, process })
     }
 
-    /// Span of OP, OP units, that `s_over_span` is a share of.
+    /// Span of OP, OP units, to which `s_over_span` refers.
     #[must_use]
     pub(crate) const fn span(&self) -> f64 {
         self.normalised.span
     }
 
-    /// What a valve of He's law with the bands `s` and `j`, OP units, makes of PV. The stem starts at OP's first value.
-    /// `None` where OP hardly moves such a stem.
+    /// PV with a valve of He's law with the bands `s` and `j`, OP units. The stem starts at OP's first value. `None` if OP
+    /// hardly moves such a stem.
     #[must_use]
     pub(crate) fn valve(&self, s: f64, j: f64) -> Option<HypotheticalValve> {
         let (s, j) = (s / self.normalised.span, j / self.normalised.span);
@@ -78,7 +78,7 @@ impl<'a> Hypothetical<'a> {
         }
         moved.iter_mut().zip(&normalised.mean).for_each(|(stem, op)| *stem -= op);
         if self.class.integrates() {
-            // The controller would have held the level: no offset for good.
+            // The controller would have held the level, so a permanent offset is removed.
             let offset = stats::mean(&moved);
             moved.iter_mut().for_each(|m| *m -= offset);
         }
@@ -96,11 +96,11 @@ impl<'a> Hypothetical<'a> {
         })
     }
 
-    /// 1 - error with this very valve / error without friction, 0..1; the process is fitted anew to each.
+    /// 1 - error with this exact valve / error without friction, 0..1; each with its own fit of the process.
     #[must_use]
     pub(crate) fn index(&self, of: &HypotheticalValve) -> f64 {
         let mut problem = Problem::new(&of.normalised, self.sign);
-        // A small band slips more often than a search would try.
+        // A small band slips more often than a search would allow.
         problem.moves = [MIN_SLIPS, of.normalised.path.values().len()];
         let index = on_whole_record(&problem, Law::He, self.class, |evaluator, view| {
             let without = frictionless(evaluator, view, self.class)?;

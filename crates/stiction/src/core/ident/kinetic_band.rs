@@ -1,26 +1,26 @@
-//! The kinetic band and the gain that fit best behind given slips: both are linear in the valve signal's two halves, so they
-//! are solved and not searched (variable projection, Golub and Pereyra 1973).
+//! The best kinetic band and gain for given slips: both are linear in the two halves of the valve signal, so they are solved
+//! for, not searched (variable projection, Golub and Pereyra 1973).
 
 use super::class::Limits;
 use super::normalised::{MOST_OVERSHOOT, SlipEnd};
 
-/// What a fit may do.
+/// Constraints of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Freedom {
-    /// Band of fd that belongs to the slips at hand.
+    /// Range of fd that belongs to the current slips.
     pub fd: [f64; 2],
-    /// fd to take where the data cannot tell.
+    /// fd to use if the data do not determine it.
     pub fd_default: f64,
-    /// Sign that the gain must have.
+    /// Required sign of the gain.
     pub sign: f64,
     /// Limits of time constants and lag.
     pub limits: Limits,
 }
 
-/// Fewest moves of the stem from which a model is fitted.
+/// Fewest moves of the stem for which a model is fitted.
 pub(crate) const MIN_SLIPS: usize = 3;
 
-/// The bands fd that slips with these cells of s and j leave open to (s, j).
+/// Range of fd at (s, j) for slips with these cells of s and j.
 #[must_use]
 pub(crate) fn band_freedom(
     cells: [[f64; 2]; 2],
@@ -42,7 +42,7 @@ pub(crate) fn band_freedom(
     Freedom { fd: [low, high], fd_default: (0.5 * (s - j)).clamp(low, high), sign, limits }
 }
 
-/// Squared error against fd: a quotient of parabolas.
+/// Squared error as a function of fd: a ratio of quadratics.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct BandProfile {
     uu: f64,
@@ -54,7 +54,7 @@ pub(crate) struct BandProfile {
 }
 
 impl BandProfile {
-    /// From products as [`best_band`] takes them and the squares that gain and band explain a part of.
+    /// From the products as in [`best_band`], and the squares of which gain and band explain a part.
     #[must_use]
     pub(crate) const fn new([uu, ud, dd, uy, dy]: [f64; 5], yy: f64) -> Self {
         Self { uu, ud, dd, uy, dy, yy }
@@ -68,7 +68,7 @@ impl BandProfile {
         if power > 1e-12 * (self.uu + fd * fd * self.dd) { self.yy - along * along / power } else { self.yy }
     }
 
-    /// Standard error of fd next to a free gain, for white residuals of this variance; infinite where the data cannot tell fd
+    /// Standard error of fd with a free gain, for white residuals of this variance; infinite if the data cannot separate fd
     /// from the gain.
     #[must_use]
     pub(crate) fn error(&self, fd: f64, variance: f64, gain: f64) -> f64 {
@@ -82,17 +82,17 @@ impl BandProfile {
         }
     }
 
-    /// Whether fd only changes the size of the response, so that the gain makes up for it.
+    /// Whether fd only scales the response, so that the gain compensates for it.
     #[must_use]
     pub(crate) fn is_flat(&self) -> bool {
         self.uu * self.dd - self.ud * self.ud <= 1e-6 * self.uu * self.dd
     }
 }
 
-/// Gain, fd and explained squares from the products left of the two halves of the valve signal, `at` and `direction`,
-/// and the target (at·at, at·direction, direction·direction, at·target, direction·target): the explained part is a
-/// quotient of parabolas in fd, so its best place is the free optimum or an end of the band. A signal of which the
-/// process' own memory leaves next to nothing (of `whole`, its squares before) has no gain.
+/// Gain, fd and explained squares from the remaining products of the two halves of the valve signal, `at` and `direction`, and
+/// the target (at·at, at·direction, direction·direction, at·target, direction·target): the explained part is a ratio of
+/// quadratics in fd, so its maximum is at the free optimum or at an end of the band. A signal has no gain if removing the
+/// process's memory leaves next to nothing of its squares (`whole` before the removal).
 #[inline]
 pub(crate) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom: &Freedom) -> (f64, f64, f64) {
     let [low, high] = freedom.fd;
@@ -114,7 +114,7 @@ pub(crate) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom
     let none = (0.0, freedom.fd_default, 0.0);
     let Some(fd) = free else { return consider(none, freedom.fd_default.clamp(low, high)) };
     let best = consider(none, fd);
-    // Within the band the free optimum is better than either end, where its gain has the asked sign.
+    // Inside the band the free optimum beats both ends, if its gain has the requested sign.
     if best.2 > 0.0 && fd > low && fd < high {
         return best;
     }

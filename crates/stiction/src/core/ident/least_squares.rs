@@ -2,7 +2,7 @@
 
 use crate::core::signal::stats::{dot, dot3};
 
-/// Most columns that a system here has, right-hand side included.
+/// Most columns of a system, including the right-hand side.
 pub(crate) const MAX: usize = 16;
 
 /// A symmetric system of up to [`MAX`] columns; only the upper triangle is kept.
@@ -34,7 +34,7 @@ impl Gram {
         Self { n, m, live: [false; MAX] }
     }
 
-    /// Inner products of each of `left` with those of `right` from its own place on: `right` under weights.
+    /// Inner products of each column of `left` with the same and all later columns of `right`, the weighted ones.
     #[must_use]
     pub(crate) fn of_weighted(left: &[&[f64]], right: &[&[f64]]) -> Self {
         let n = left.len().min(right.len()).min(MAX);
@@ -52,13 +52,13 @@ impl Gram {
         Self { n, m, live: [false; MAX] }
     }
 
-    /// Entry (row, column), row <= column; after elimination that of the Schur complement.
+    /// Entry (row, column), row <= column; after elimination, of the Schur complement.
     #[must_use]
     pub(crate) fn at(&self, row: usize, column: usize) -> f64 {
         self.m[row][column]
     }
 
-    /// Eliminates the first `count` columns; one that depends on those before it is left out.
+    /// Eliminates the first `count` columns; a column that depends linearly on earlier ones is skipped.
     pub(crate) fn eliminate(&mut self, count: usize) {
         let scale: [f64; MAX] = core::array::from_fn(|i| self.m[i][i]);
         #[allow(clippy::needless_range_loop)] // rows and columns of one array
@@ -78,8 +78,8 @@ impl Gram {
         }
     }
 
-    /// Coefficients of the first `count` (eliminated) columns that fit the last column, given those of the columns
-    /// between as `known` (from column `count` on). Left-out columns get 0.
+    /// Coefficients of the first `count` (eliminated) columns that fit the last column, given the coefficients `known` of the
+    /// columns between (from column `count` on). Skipped columns get 0.
     #[must_use]
     pub(crate) fn back(&self, count: usize, known: &[f64]) -> [f64; MAX] {
         let mut x = [0.0; MAX];

@@ -27,7 +27,7 @@ pub(crate) mod slip_search;
 pub mod surface;
 pub mod width;
 
-/// Schema name of the documents that hold an estimate, which others read models from.
+/// Schema name of documents with an estimate, from which models can be read.
 pub const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
 
 pub use choice::{DelayChoice, ModelChoice, Options, ValveChoice};

@@ -1,4 +1,4 @@
-//! A valve and a process in recorded units: what a fit found, a document holds or a file states.
+//! A valve and a process in recorded units, from a fit, a document or a file.
 
 use super::class::Class;
 use crate::core::record::Record;
@@ -9,7 +9,7 @@ use crate::core::sim::slips::Law;
 pub struct Model {
     /// The valve's law.
     pub law: Law,
-    /// Static band, OP units; 0 together with `fd` for a valve that follows OP.
+    /// Static band, OP units; if it and `fd` are 0, the valve follows OP.
     pub fs: f64,
     /// Kinetic band, OP units.
     pub fd: f64,
@@ -24,7 +24,7 @@ pub struct Model {
 }
 
 impl Model {
-    /// The process' class; `None` for a number of time constants that no class has.
+    /// The process class; `None` if no class has this number of time constants.
     pub(crate) fn class(&self) -> Option<Class> {
         match (self.integrating, self.time_constants_s.len()) {
             (false, 1) => Some(Class::First),
@@ -35,13 +35,13 @@ impl Model {
         }
     }
 
-    /// Time constants in points of a record, the larger first; the last one again for those that the class lacks.
+    /// Time constants in points of a record, the larger first; the last one is repeated for those that the class lacks.
     pub(crate) fn taus(&self, record: &Record) -> [f64; 2] {
         let last = self.time_constants_s.last().copied().unwrap_or(1.0);
         [0, 1].map(|index| self.time_constants_s.get(index).copied().unwrap_or(last) / record.point_s())
     }
 
-    /// Dead time and the sample that a held signal takes to act, points of a record.
+    /// Dead time plus the sample that a held signal takes to act, points of a record.
     pub(crate) fn lag(&self, record: &Record) -> f64 {
         (self.dead_time_s / record.ts_s + 1.0) / record.box_samples as f64
     }

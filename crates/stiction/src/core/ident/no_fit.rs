@@ -1,11 +1,11 @@
-//! Why a record has no fit.
+//! Reasons why a record has no fit.
 
 use thiserror::Error;
 
 use crate::core::record::Record;
 use crate::core::signal::stats;
 
-/// Fewest points of a fit.
+/// Fewest points for a fit.
 pub(super) const LEAST_POINTS: usize = 30;
 
 /// Why there is no fit.
@@ -32,7 +32,7 @@ impl NoFit {
     /// Checks that a record can be fitted.
     ///
     /// # Errors
-    /// What it lacks.
+    /// The first requirement that the record fails.
     pub(super) fn check(record: &Record) -> Result<(), Self> {
         if record.len() < LEAST_POINTS {
             Err(Self::TooShort(record.len()))

@@ -1,4 +1,4 @@
-//! A record in the form that every fit works on: OP in spans, PV in standard deviations, times in points.
+//! Normalised records, the input of every fit: OP in spans, PV in standard deviations, times in points.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,47 +14,47 @@ use crate::core::sim::steps::Path;
 /// A record in normalised form: OP in spans, PV in standard deviations.
 #[derive(Debug, Clone)]
 pub struct NormalisedRecord {
-    /// OP on its way, centred, in units of its robust span.
+    /// Path of OP, centred, in units of its robust span.
     pub path: Arc<Path>,
     /// OP averaged over each point.
     pub mean: Vec<f64>,
-    /// PV less its mean, over its standard deviation.
+    /// PV minus its mean, over its standard deviation.
     pub pv: Vec<f64>,
     /// OP's robust span, OP units.
     pub span: f64,
     /// PV's standard deviation, PV units.
     pub deviation: f64,
-    /// Limits of the process' shape, points.
+    /// Limits of the process's shape, points.
     pub limits: Limits,
-    /// First point that counts.
+    /// First counted point.
     pub from: usize,
-    /// A typical time, points: a period, or a fifth of the record where nothing oscillates.
+    /// Characteristic time, points: a period, or a fifth of the record without an oscillation.
     pub period: f64,
-    /// How fast OP usually moves, spans a point.
+    /// Typical speed of OP, spans per point.
     pub rate: f64,
     /// OP's running maxima, then minima: a first slip happens at one of them.
     pub extremes: [Vec<f64>; 2],
-    /// What the valve has beside its law.
+    /// Elements of the valve in addition to its law.
     pub stroke: Stroke,
-    /// Where its slips end.
+    /// Whether slips end short of OP or beyond it.
     pub slip_end: SlipEnd,
 }
 
-/// Where a slip ends, so on which side of s the jump j lies.
+/// Where a slip ends, and thus on which side of s the jump j lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SlipEnd {
-    /// Short of OP or on it: fd >= 0, j <= s.
+    /// Short of OP or at it: fd >= 0, j <= s.
     #[default]
     Short,
     /// Beyond OP: fd < 0, j >= s.
     Beyond,
 }
 
-/// Largest fd over fs, in size, of a stem that lands beyond OP.
+/// Largest |fd| / fs of a stem that ends beyond OP.
 pub(crate) const MOST_OVERSHOOT: f64 = 0.95;
 
 impl SlipEnd {
-    /// The jump of this side for one of the other triangle, 0 < j <= s, which searches are made for.
+    /// Maps a jump from the triangle 0 < j <= s, which searches use, to this side.
     #[must_use]
     pub(crate) fn jump(self, s: f64, j: f64) -> f64 {
         match self {
@@ -63,7 +63,7 @@ impl SlipEnd {
         }
     }
 
-    /// The nearest jump that goes with s.
+    /// The nearest jump that is possible with s.
     #[must_use]
     pub(crate) fn keep(self, s: f64, j: f64) -> f64 {
         match self {
@@ -77,13 +77,13 @@ impl NormalisedRecord {
     /// The normalised form of a record that can be fitted.
     ///
     /// # Errors
-    /// What it lacks.
+    /// The first requirement that the record fails.
     pub(crate) fn of(record: &Record, options: &Options) -> Result<Self, NoFit> {
         NoFit::check(record)?;
         Ok(normalise(record, options, stats::span(&record.op_path), stats::std_dev(&record.pv)))
     }
 
-    /// Running maxima (or minima) of OP from its first value on.
+    /// Running maxima and minima of OP from its first value on.
     pub(crate) fn running_extremes(path: &[f64]) -> [Vec<f64>; 2] {
         let first = path.first().copied().unwrap_or(0.0);
         let mut out = [vec![first], vec![first]];
@@ -97,7 +97,7 @@ impl NormalisedRecord {
         out
     }
 
-    /// Some of its points, as a record of their own.
+    /// A section of the record as a separate record.
     #[must_use]
     pub(crate) fn cut(&self, points: Range<usize>) -> Self {
         let m = self.path.per_point();
@@ -111,7 +111,7 @@ impl NormalisedRecord {
         }
     }
 
-    /// The first slip that `start` stands for.
+    /// The first slip that `start` describes.
     #[must_use]
     pub(crate) fn first_slip(&self, start: Start) -> FirstSlip {
         let list = &self.extremes[usize::from(!start.up)];
@@ -123,7 +123,7 @@ impl NormalisedRecord {
         FirstSlip { direction, threshold }
     }
 
-    /// A start some points `later`, as far as OP goes on to new extremes there.
+    /// A start `later` points later, as far as OP reaches new extremes there.
     #[must_use]
     pub(crate) fn moved_start(&self, start: Start, later: f64) -> Start {
         let last = self.extremes[usize::from(!start.up)].len().saturating_sub(1);
@@ -133,25 +133,26 @@ impl NormalisedRecord {
     }
 }
 
-/// Which of OP's running extremes brings the first slip, and where between the one before and it the threshold lies (0..1).
+/// The running extreme of OP at which the first slip occurs, and the position of the threshold between the previous extreme and
+/// this one (0..1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Start {
-    /// Upwards, at a running maximum.
+    /// The slip goes up, at a running maximum.
     pub up: bool,
-    /// Which extreme; 0 slips at the first value.
+    /// Index of the extreme; 0 slips at the first value.
     pub extreme: usize,
-    /// Place of the threshold.
+    /// Position of the threshold.
     pub place: f64,
 }
 
-/// The value on a grid of 2^-24, far finer than any recording: shifting or scaling a record changes its normalised
-/// values in the last bits only, and the grid takes those away, so that every search takes the same way.
+/// Rounds to a grid of 2^-24, far finer than any recording: shifting or scaling a record changes its normalised values in the
+/// last bits only, and rounding removes these changes, so that every search takes the same path.
 fn on_grid(x: f64) -> f64 {
     const GRID: f64 = 16_777_216.0;
     (x * GRID).round() / GRID
 }
 
-/// Dead times up to here are looked for whatever the loop, points: finer than that a record does not tell them.
+/// Dead times up to this are always searched, points: a record cannot resolve anything finer.
 const FINEST: f64 = 3.0;
 
 /// The record in normalised form with this span of OP and this standard deviation of PV.

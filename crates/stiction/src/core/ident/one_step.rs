@@ -1,9 +1,9 @@
-//! The published way of fitting: one-step least squares for the process, free run for the score.
+//! The published method: one-step least squares for the process, free run for the score.
 //!
-//! Lee, Ren and Huang (2008) grid the two bands of He's law, estimate a first-order process with dead time from the
-//! valve signal of each cell by least squares, and compare. An industrial implementation of it scores a window by how
-//! much the best cell's free run improves on that of no friction. [`super::quantify`] does better on all counts; this
-//! is the yardstick, and the figure that others know.
+//! Lee, Ren and Huang (2008) grid the two bands of He's law, estimate a first-order process with dead time from the valve
+//! signal of each cell by least squares, and compare. An industrial implementation scores a window by how much the best cell's
+//! free run improves on the one without friction. [`super::quantify`] does better in all respects; this is the benchmark, with
+//! the number that others know.
 
 use crate::core::signal::stats::{dot, mean, variance};
 use crate::core::sim::valve::he_step;
@@ -11,13 +11,13 @@ use crate::core::sim::valve::he_step;
 /// The search of the industrial implementation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Search {
-    /// Largest band that is tried, OP units.
+    /// Largest band tried, OP units.
     pub fs_max: f64,
-    /// Largest s = fs + fd that is tried, OP units.
+    /// Largest s = fs + fd tried, OP units.
     pub s_max: f64,
-    /// Values of each band, both ends included.
+    /// Values per band, including both ends.
     pub bands: usize,
-    /// First positions of the stem, from one end of the stick band to the other.
+    /// Initial positions of the stem, from one end of the stick band to the other.
     pub positions: usize,
     /// Largest dead time, points.
     pub delays: usize,
@@ -26,13 +26,13 @@ pub struct Search {
 }
 
 impl Search {
-    /// The industrial implementation's own figures: 11 by 11 bands, 10 positions, dead times up to 24 points.
+    /// Settings of the industrial implementation: 11 by 11 bands, 10 positions, dead times up to 24 points.
     #[must_use]
     pub const fn published(fs_max: f64, sign: f64) -> Self {
         Self { fs_max, s_max: f64::INFINITY, bands: 11, positions: 10, delays: 24, sign }
     }
 
-    /// The same, with s within OP's span: a stem that sticks more would not be seen to move both ways.
+    /// The same, with s limited to OP's span: a stem that sticks more would not move both ways.
     #[must_use]
     pub const fn within(span: f64, sign: f64) -> Self {
         Self { s_max: span, ..Self::published(span, sign) }
@@ -42,15 +42,15 @@ impl Search {
 /// The best cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Best {
-    /// `1 - least error with friction / least error without`, 0..1; both in free run, their mean taken off.
+    /// `1 - least error with friction / least error without`, 0..1; both in free run, with the mean removed.
     pub index: f64,
-    /// Its s = fs + fd, OP units; 0 where no cell is better than no friction.
+    /// The cell's s = fs + fd, OP units; 0 if no cell beats the fit without friction.
     pub s: f64,
-    /// Its mean squared error, PV units.
+    /// The cell's mean squared error, PV units.
     pub error: f64,
 }
 
-/// Searches the cells. `None` where PV does not move. A process of the wrong sign counts as none: its error is PV's variance.
+/// Searches the cells. `None` if PV is constant. A process of the wrong sign is rejected: its error is PV's variance.
 ///
 /// `op` and `pv` of equal length, in any units.
 #[must_use]
@@ -70,10 +70,10 @@ pub fn toolbox(op: &[f64], pv: &[f64], search: &Search) -> Option<Best> {
     let error_of = |valve: &[f64]| -> f64 {
         let shifted = (0..=search.delays).map(|first| &valve[first..first + n - 1]);
         let errors = shifted.filter_map(|valve| target.free_run_error(valve, search.sign));
-        // A process of gain 0 is always among them.
+        // A process of gain 0 is always a candidate.
         errors.fold(target.spread, f64::min)
     };
-    // In front of the record the valve stands at OP's mean.
+    // Before the record the valve rests at OP's mean.
     let head = search.delays;
     let mut valve = vec![0.0; head];
     valve.extend(op.iter().map(|u| u - centre));
@@ -105,13 +105,13 @@ pub fn toolbox(op: &[f64], pv: &[f64], search: &Search) -> Option<Best> {
     (without > 0.0).then(|| Best { index: (1.0 - least / without).clamp(0.0, 1.0), s, error: least })
 }
 
-/// PV with the sums that do not depend on the valve.
+/// PV with all sums that do not depend on the valve.
 struct Target<'a> {
     first: f64,
     now: &'a [f64],
     before: &'a [f64],
     sums: [f64; 4],
-    /// Variance of what is to be met.
+    /// Variance of the PV values to be fitted.
     spread: f64,
 }
 
@@ -122,8 +122,8 @@ impl<'a> Target<'a> {
         Self { first: pv[0], now, before, sums, spread: variance(now) }
     }
 
-    /// Mean squared error, mean removed, of `y[k] = a y[k-1] + b valve[k] + c` in free run, its coefficients by least
-    /// squares of one step; `None` where `b` has not the wanted sign.
+    /// Mean squared error, mean removed, of `y[k] = a y[k-1] + b valve[k] + c` in free run, with coefficients from one-step
+    /// least squares; `None` if `b` does not have the required sign.
     fn free_run_error(&self, valve: &[f64], sign: f64) -> Option<f64> {
         let count = self.now.len() as f64;
         let [sy, sz, syy, syz] = self.sums;

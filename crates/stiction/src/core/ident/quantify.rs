@@ -46,16 +46,16 @@ pub struct Estimate {
     pub mse_without: f64,
     /// Movements of the stem.
     pub slips: usize,
-    /// Changes of the stem's direction.
+    /// Reversals of the stem.
     pub reversals: usize,
     /// Standard error of j from the fit of fd, OP units; infinite if fd is not separable from the gain.
     pub j_error: f64,
     /// Range of s with the same slips, OP units.
     pub s_cell: [f64; 2],
-    /// Ranges of s, j, fs and fd that explain the record almost as well, OP units; [`crate::core::verdict::assess`] widens them to
-    /// 90 % intervals.
+    /// Ranges of s, j, fs and fd that explain the record almost as well, OP units; [`crate::core::verdict::assess`] widens them
+    /// to 90 % intervals.
     pub spread: Spread,
-    /// Share of PV's movement that the process leaves in the last part of the record when it is fitted to what comes before.
+    /// Share of PV's movement left unexplained in the last part of the record by a process fitted to the part before.
     pub held_out: f64,
     /// Number of models evaluated.
     pub evaluations: u64,
@@ -78,21 +78,21 @@ pub struct FitBasis {
 }
 
 impl Estimate {
-    /// Share of the error that goes with the friction, of the model that is reported.
+    /// Share of the error that friction removes, for the reported model.
     #[must_use]
     pub(crate) fn stiction_index(&self) -> f64 {
         improvement(self.mse, self.mse_without)
     }
 }
 
-/// Half width of a 90 % interval in standard errors of a mean of three, and the least: of a gain as a logarithm, of a dead time in
-/// points.
+/// Half width of a 90 % interval in standard errors of a mean of three (Student's t); smallest half widths of the gain, as a
+/// logarithm, and of the dead time, in points.
 const OF_THREE: f64 = 2.92;
 const LEAST_GAIN: f64 = 0.05;
 const LEAST_DEAD_TIME: f64 = 0.5;
 
 impl Estimate {
-    /// 90 % interval of the gain, by how far the thirds of the record lie apart.
+    /// 90 % interval of the gain, from the scatter of the record's thirds.
     #[must_use]
     pub(crate) fn gain_interval(&self) -> Option<[f64; 2]> {
         let gains = self.thirds().map(|third| third.gain).filter(|gain| *gain > 0.0);
@@ -101,7 +101,7 @@ impl Estimate {
         Some([ends[0].min(ends[1]), ends[0].max(ends[1])])
     }
 
-    /// The same of the dead time, s; `point_s` is the time between points.
+    /// 90 % interval of the dead time, s; `point_s` is the time between points.
     #[must_use]
     pub(crate) fn dead_time_interval_s(&self, point_s: f64) -> Option<[f64; 2]> {
         let half = point_s * half_width(self.thirds().map(|third| third.dead_time))?.max(LEAST_DEAD_TIME);
@@ -113,20 +113,20 @@ impl Estimate {
     }
 }
 
-/// Half width of the 90 % interval of a mean; `None` of fewer than two values.
+/// Half width of the 90 % interval of a mean; `None` for fewer than two values.
 fn half_width(values: impl Iterator<Item = f64>) -> Option<f64> {
     let values: Vec<f64> = values.collect();
     let error = stats::std_dev(&values) / (values.len() as f64 - 1.0).sqrt();
     (values.len() > 1).then_some(OF_THREE * error)
 }
 
-/// Share of PV's variance left unexplained from which the sign that was read is doubted.
+/// Share of PV's variance left unexplained from which the sign that was read is in doubt.
 const DOUBTFUL: f64 = 0.3;
-/// What the other sign must leave of the error to be believed, and its stiction index.
+/// Largest share of the error that the other sign may leave to be believed, and its least stiction index.
 const AGAINST: [f64; 2] = [0.5, 0.5];
-/// Share of the error that does not tell one law from the other.
+/// Difference in error, as a share, that does not distinguish the laws.
 const HARDLY_WORSE: f64 = 0.01;
-/// Rivals that the interval visits.
+/// Rivals included in the interval.
 const RIVALS: usize = 24;
 
 /// The best valve and process model of a record.
@@ -159,7 +159,7 @@ pub fn quantify(record: &Record, options: &Options) -> Result<Estimate, NoFit> {
     if found.mse <= DOUBTFUL * deviation * deviation {
         return Ok(found);
     }
-    // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
+    // A fit of the controller backwards needs no friction, so only a sticking valve overrules the sign that was read.
     let rival = AGAINST[0] * found.mse;
     let counted = record.len().saturating_sub(normalised.from).max(1) as f64;
     let other = of_sign(-read, rival / (deviation * deviation) * counted);
@@ -168,7 +168,7 @@ pub fn quantify(record: &Record, options: &Options) -> Result<Estimate, NoFit> {
     Ok(Estimate { evaluations, ..believed })
 }
 
-/// The estimate for one sign of the gain; an error above `rival` is given up.
+/// The estimate for one sign of the gain; the search gives up above the error `rival`.
 fn estimate(problem: &Problem<'_>, options: &Options, laws: &[Law], rival: f64, record: &Record) -> Option<Estimate> {
     let Options { model, fineness_pct, seed, .. } = *options;
     let request = Request { laws, model, fineness_pct, seed, rival };
@@ -209,7 +209,7 @@ fn report(
     let mut spread = met.spread;
     spread.thirds = thirds::thirds(evaluator, answer.rho, &best, &found.seen, options.seed);
     spread.distinct = !spread.whiteness.is_noise() && rivals::are_ruled_out(&best, &answer.rivals);
-    // A better candidate met on the way of the interval is the answer.
+    // A better candidate found while computing the interval becomes the answer.
     let same = best.covers(answer.candidate.s, answer.candidate.j, answer.candidate.start);
     let plain_sse = if answer.rho == 0.0 {
         met.process.sse

@@ -1,4 +1,4 @@
-//! Words for where a pair of bands lies on the fs-fd plane.
+//! Regions of the fs-fd plane by kind of sticking.
 //!
 //! The plane's triangle has pure dead band on the ray `fs = fd` (j = 0), pure stick-slip on the axis `fd = 0`
 //! (j = s), both in between, and strong cases towards its far side `s = S0` (after Lee, Ren and Huang 2008).
@@ -61,13 +61,13 @@ impl Size {
     }
 }
 
-/// Bounds of the plane's parts: s over OP's span below which nothing is said, j/s up to which it is dead band, and from
-/// which it is stick-slip.
+/// Boundaries of the regions: s over OP's span below which no kind is named, j/s up to which the valve has a dead band, and j/s
+/// from which it is stick-slip.
 pub const BOUNDS: [f64; 3] = [0.1, 0.15, 0.85];
-/// s over OP's span from which sticking is moderate, and above which it is strong.
+/// s over OP's span from which stiction is moderate, and above which it is strong.
 pub const STRENGTHS: [f64; 2] = [0.2, 0.6];
 
-/// What kind of sticking: by j/s, once s is large enough to be seen at all.
+/// Kind of sticking by j/s, if s is large enough to be seen at all.
 ///
 /// `none` below a tenth of OP's span; `deadband` below j/s = 0.15; `stick_slip` above 0.85.
 #[must_use]
@@ -75,7 +75,7 @@ pub(crate) fn region(s: f64, j: f64, span: f64) -> Region {
     if s < BOUNDS[0] * span || s <= 0.0 { Region::None } else { kind(s, j) }
 }
 
-/// The same however small s is.
+/// Kind of sticking, however small s is.
 #[must_use]
 pub(crate) fn kind(s: f64, j: f64) -> Region {
     if j / s < BOUNDS[1] {
@@ -87,7 +87,7 @@ pub(crate) fn kind(s: f64, j: f64) -> Region {
     }
 }
 
-/// How strong against the loop's own movement: by s over OP's span, 0.2 and 0.6.
+/// Strength relative to the loop's own movement: s over OP's span, with limits 0.2 and 0.6.
 #[must_use]
 pub(crate) fn strength_by_span(s: f64, span: f64) -> Size {
     if s > STRENGTHS[1] * span {
@@ -99,7 +99,7 @@ pub(crate) fn strength_by_span(s: f64, span: f64) -> Size {
     }
 }
 
-/// How severe against the valve's travel, % of OP's range: 0.5, 1 and 2 %; `None` for a range without width.
+/// Severity relative to the valve's travel, % of OP's range, with limits 0.5, 1 and 2 %; `None` for a range without width.
 #[must_use]
 pub(crate) fn severity_by_range(s: f64, range: [f64; 2]) -> Option<Size> {
     let width = (range[1] - range[0]).abs();

@@ -1,14 +1,14 @@
-//! What a fit leaves over: whether it is noise, or carries something that the model does not know.
+//! Tests whether the residual of a fit is noise or shows structure that the model lacks.
 
 use serde::{Deserialize, Serialize};
 
 use crate::core::signal::stats;
 
-/// Lags looked at.
+/// Lags tested.
 const LAGS: usize = 20;
-/// Portmanteau statistic of [`LAGS`] lags beyond which a residual is not white: chi-squared, 20 degrees, 0.1 %.
+/// Portmanteau statistic over [`LAGS`] lags beyond which a residual is not white: chi-squared, 20 degrees, 0.1 %.
 pub(crate) const PORTMANTEAU: f64 = 45.3;
-/// Lag-1 autocorrelation beyond which it is not, however short the record.
+/// Lag-1 autocorrelation beyond which a residual is not white, however short the record.
 const FIRST_LAG: f64 = 0.12;
 /// Largest normalised cross-correlation of noise with OP and its moves, in standard errors: 40 draws, some 1 %.
 const CROSS: f64 = 3.7;
@@ -26,14 +26,14 @@ pub struct Whiteness {
     pub cross: f64,
     /// Points over independent points, 1 for white noise: `1 + 2 sum r`, summed while positive.
     pub inflation: f64,
-    /// Nothing is left in it by its own past.
+    /// The residual's own past predicts nothing of it.
     pub white: bool,
-    /// Something is left in it that goes with OP.
+    /// Past OP predicts part of it.
     pub follows_op: bool,
 }
 
 impl Whiteness {
-    /// Whether nothing is left but noise.
+    /// Whether the residual is only noise.
     #[must_use]
     pub(crate) const fn is_noise(&self) -> bool {
         self.white && !self.follows_op
@@ -42,15 +42,15 @@ impl Whiteness {
 
 /// Tests a residual against itself and against OP at the same points.
 ///
-/// Only OP before the residual counts: the noise at a point goes into OP from that point on, so correlations at other
-/// lags tell of the controller.
+/// Only OP before the residual counts: the noise at a point enters OP from that point on, so correlations at other lags come
+/// from the controller.
 #[must_use]
 pub(crate) fn whiteness(residual: &[f64], op: &[f64]) -> Whiteness {
     let n = residual.len().min(op.len());
     whiteness_where(&residual[..n], &op[..n], &[[0, n]])
 }
 
-/// The same of the points on some stretches: others count for nothing.
+/// As [`whiteness`], using only the points on some stretches.
 #[must_use]
 pub(crate) fn whiteness_where(residual: &[f64], op: &[f64], stretches: &[[usize; 2]]) -> Whiteness {
     let n = residual.len();
@@ -66,7 +66,7 @@ pub(crate) fn whiteness_where(residual: &[f64], op: &[f64], stretches: &[[usize;
     }
     let count = kept.len() as f64;
     let at_lag = |x: &[f64], y: &[f64], lag: usize| stats::dot(&x[lag..], &y[..y.len() - lag]);
-    // Pairs across a gap are missing from the sums.
+    // The sums lack pairs across a gap, so they are scaled up.
     let of_pairs = |lag: usize| (count - lag as f64) / at_lag(&counts, &counts, lag).max(1.0);
     let r: Vec<f64> = (1..=2 * LAGS).map(|lag| at_lag(&e, &e, lag) / power * of_pairs(lag)).collect();
     let terms = r.iter().take(LAGS).enumerate().map(|(k, r)| r * r / (count - k as f64 - 1.0));

@@ -1,14 +1,14 @@
-//! Least squares that a few wild samples cannot turn: the one regression by which a controller is read.
+//! Robust least squares, which outliers cannot dominate: the regression that identifies the controller.
 
 use super::least_squares::Gram;
 use crate::core::signal::stats;
 
-/// Most columns that are regressed on, the constant not counted.
+/// Most regression columns, not counting the constant.
 pub(crate) const MAX_COLUMNS: usize = 4;
-/// Rounds of weighing.
+/// Rounds of reweighting.
 const ROUNDS: usize = 3;
 
-/// What a regression found.
+/// Result of a regression.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Regression {
     /// Coefficients of the columns, then the constant.
@@ -17,7 +17,7 @@ pub(crate) struct Regression {
     pub r2: f64,
 }
 
-/// Regresses, with memory that is used again.
+/// Regression with reusable buffers.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Regressor {
     weights: Vec<f64>,
@@ -29,9 +29,9 @@ pub(crate) struct Regressor {
 }
 
 impl Regressor {
-    /// Regresses `y` on up to [`MAX_COLUMNS`] `columns` of its length and a constant: three rounds in which a residual `r`
-    /// gets the weight `1/sqrt(1 + (r / 3 sigma)^2)`, sigma from the median absolute deviation. Samples outside `used` have
-    /// no say. `None` where `y` does not move.
+    /// Regresses `y` on up to [`MAX_COLUMNS`] `columns` of its length and a constant: in three rounds, a residual `r` gets the
+    /// weight `1/sqrt(1 + (r / 3 sigma)^2)`, sigma from the median absolute deviation. Samples outside `used` are ignored.
+    /// `None` if `y` is constant.
     pub(crate) fn regress(&mut self, y: &[f64], columns: &[&[f64]], used: Option<&[bool]>) -> Option<Regression> {
         let count = columns.len().min(MAX_COLUMNS);
         let columns = &columns[..count];
@@ -50,7 +50,7 @@ impl Regressor {
         Some(Regression { coefficients, r2 })
     }
 
-    /// What the last regression left of its `y`.
+    /// Residual of the last regression.
     #[must_use]
     pub(crate) fn left(&self) -> &[f64] {
         &self.left
@@ -79,7 +79,7 @@ impl Regressor {
         out
     }
 
-    /// Weights by what is left.
+    /// Computes the weights from the residuals.
     fn weigh(&mut self, spread: f64, used: Option<&[bool]>) {
         self.seen.clear();
         match used {
@@ -102,7 +102,7 @@ impl Regressor {
         }
     }
 
-    /// Share of `y`'s weighted variance that is explained; `None` where there is none.
+    /// Share of `y`'s weighted variance that is explained; `None` if `y` has no variance.
     fn explained(&self, y: &[f64]) -> Option<f64> {
         let mean = stats::dot(&self.weights, y) / stats::sum(&self.weights);
         let (mut whole, mut rest) = (0.0, 0.0);
@@ -110,12 +110,12 @@ impl Regressor {
             whole += w * (y - mean) * (y - mean);
             rest += w * r * r;
         }
-        // Written so that a value that is not a number fails too.
+        // Written so that NaN fails too.
         if whole > 0.0 { Some(1.0 - rest / whole) } else { None }
     }
 }
 
-/// Median absolute deviation from the median (of an even number the upper one of the middle two); 0 for none.
+/// Median absolute deviation from the median (the upper median for an even count); 0 for an empty slice.
 fn mad(x: &mut [f64], work: &mut Vec<f64>) -> f64 {
     if x.is_empty() {
         return 0.0;
@@ -127,7 +127,7 @@ fn mad(x: &mut [f64], work: &mut Vec<f64>) -> f64 {
     stats::nth(x, x.len() / 2, work)
 }
 
-/// `y` less what the coefficients make of the columns and the constant.
+/// `y` minus the fitted columns and constant.
 fn residual(y: &[f64], columns: &[&[f64]], coefficients: &[f64; MAX_COLUMNS + 1], left: &mut Vec<f64>) {
     let constant = coefficients[columns.len().min(MAX_COLUMNS)];
     left.clear();

@@ -1,19 +1,19 @@
-//! The sign of the process gain, read from how the controller answers.
+//! The sign of the process gain, from the controller's response.
 //!
-//! A loop that works has negative feedback, so the process gain has the sign of the controller's. Fitting the wrong
-//! sign would model the controller backwards instead of the process.
+//! A working loop has negative feedback, so the process gain has the sign of the controller's. A fit with the wrong sign would
+//! model the controller backwards instead of the process.
 
 use super::robust::Regressor;
 use crate::core::signal::detrend::{moving_average, remove_mean};
 use crate::core::signal::stats;
 
-/// Spread of the set point over PV's from which it moves, and its correlation with PV from which PV follows it.
+/// Spread of the set point over PV's from which it counts as moving, and its correlation with PV from which PV follows it.
 const SP_MOVES: f64 = 0.02;
 const PV_FOLLOWS: f64 = 0.2;
-/// Share of OP's moves by which a later answer must explain more.
+/// Share of OP's moves by which a later regression must explain more.
 const CLEARER: f64 = 0.02;
 
-/// Sign of the process gain (+1 or -1), or `None` where the record does not show the controller clearly.
+/// Sign of the process gain (+1 or -1), or `None` if the record does not show the controller clearly.
 ///
 /// Regresses the moves of OP on the moves and the value of -PV (a PI controller in velocity form) by three rounds of
 /// reweighted least squares, for OP and PV smoothed over 1, 3 or 7 points and PV up to a point earlier.
@@ -22,8 +22,8 @@ pub(crate) fn of_gain(op: &[f64], pv: &[f64]) -> Option<f64> {
     decided(best_of(op, pv, None)?)
 }
 
-/// The same where the set point is known, in PV's units: where it moves and PV follows it, SP - PV is tried beside -PV. A
-/// controller whose set point moves answers the error, and PV alone may even run with OP.
+/// As [`of_gain`], with a set point in PV's units: if it moves and PV follows it, SP - PV is tried in addition to -PV. With a
+/// moving set point the controller responds to the error, and PV alone may even move with OP.
 #[must_use]
 pub fn of_gain_with_sp(op: &[f64], pv: &[f64], sp: Option<&[f64]>) -> Option<f64> {
     let mut best = best_of(op, pv, None);
@@ -40,7 +40,7 @@ fn follows(pv: &[f64], sp: &[f64]) -> bool {
     moved > SP_MOVES * spread && together > PV_FOLLOWS * moved * spread
 }
 
-/// The clearest answer of the controller; a later one must be clearer by [`CLEARER`].
+/// The regression that shows the controller most clearly; a later one must explain more by [`CLEARER`].
 fn best_of(op: &[f64], pv: &[f64], mut best: Option<Answer>) -> Option<Answer> {
     let mut work = Regressor::default();
     for width in [1, 3, 7] {
@@ -49,7 +49,7 @@ fn best_of(op: &[f64], pv: &[f64], mut best: Option<Answer>) -> Option<Answer> {
         }
         let (u, e) = (moving_average(op, width), moving_average(pv, width));
         for lag in [0, 1] {
-            // Once more on first differences, in which a set point that steps leaves single outliers only.
+            // Repeat on first differences, in which a step of the set point is a single outlier.
             for found in
                 [regress(&u, &e, lag, &mut work), regress(&moves(&u), &moves(&e), lag, &mut work)].into_iter().flatten()
             {
@@ -79,7 +79,7 @@ fn moves(x: &[f64]) -> Vec<f64> {
     x.windows(2).map(|w| w[1] - w[0]).collect()
 }
 
-/// Shares of the controller's answer in standard deviations of its move.
+/// Coefficients of the controller's response, in standard deviations of its move.
 struct Answer {
     proportional: f64,
     integral: f64,

@@ -21,11 +21,11 @@ use crate::core::sim::slips::Law;
 
 /// Default budget of a solver, evaluations: the toolbox's own limit.
 pub const BUDGET: u64 = 10_000;
-/// Positions of the stem before the record that are tried, as shares of the static band from OP's first value; only the first
-/// one for a stem that reverses often.
+/// Initial positions of the stem tried, as shares of the static band from OP's first value; only the first for a stem that
+/// reverses often.
 const STARTS: [f64; 3] = [0.0, -0.9, 0.9];
 const FEW_REVERSALS: usize = 8;
-/// s in spans below which there is no friction.
+/// s in spans below which the valve counts as frictionless.
 const NOTHING: f64 = 1e-4;
 
 /// The best model for one pair of bands.
@@ -75,8 +75,8 @@ impl Surface {
         Self::of_sign(record, options, (law, class), None, 0.0)
     }
 
-    /// The same with the sign of the gain given, or both tried where the record does not tell it, of the error behind
-    /// `1 - rho q^-1`.
+    /// As [`Self::new`], by the error filtered with `1 - rho q^-1`, for a given sign of the gain; without one, both signs are
+    /// tried if the record does not show it.
     pub(super) fn of_sign(
         record: &Record,
         options: &Options,
@@ -124,7 +124,7 @@ impl Surface {
         self.fit(fs, fd).map_or(f64::INFINITY, |f| f.sse * self.scale())
     }
 
-    /// The same with the process.
+    /// The same, including the process.
     pub fn point(&mut self, fs: f64, fd: f64) -> Option<Point> {
         let fit = self.fit(fs, fd)?;
         let gain = self.class.gain(fit.gain) * self.normalised.deviation / self.normalised.span;
@@ -140,7 +140,7 @@ impl Surface {
         })
     }
 
-    /// Squared normalised error to mean squared error in PV units.
+    /// Factor from the squared normalised error to the mean squared error in PV units.
     fn scale(&self) -> f64 {
         let count = self.sides.first().map_or(1.0, |side| side.view.count());
         self.normalised.deviation * self.normalised.deviation / count.max(1.0)
@@ -162,7 +162,7 @@ impl Surface {
 }
 
 impl Side {
-    /// The best process for one pair of bands, taken at its word, over first positions of the stem.
+    /// The best process for exactly this pair of bands, over the initial positions of the stem.
     fn fit(&mut self, normalised: &NormalisedRecord, law: Law, class: Class, [s, j]: [f64; 2]) -> Option<Candidate> {
         let problem = Problem::new(normalised, self.sign);
         let mut evaluator = Evaluator::new(&problem, law, class, problem.points());
@@ -177,7 +177,7 @@ impl Side {
         best
     }
 
-    /// The best process behind one valve signal: from the best place of the coarse scan.
+    /// The best process behind one valve signal, starting from the best place of the coarse scan.
     fn process(&mut self, evaluator: &mut Evaluator<'_>, [s, j]: [f64; 2], start: Start) -> Option<Candidate> {
         let fd = 0.5 * (s - j);
         let freedom = evaluator.slip(s, j, start)?;

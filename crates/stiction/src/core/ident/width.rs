@@ -1,8 +1,8 @@
-//! From the likelihood's intervals to those that are told.
+//! From the likelihood's intervals to the reported ones.
 //!
-//! The likelihood believes the model: a valve that obeys the law, noise and nothing else on PV, OP as it was. Where the
-//! residual says otherwise, or OP stands on a grid, an interval has to be at least as wide as fits like it turned out
-//! wrong on simulated loops: a [`Floor`] for each class of fits, kept in `interval.json`.
+//! The likelihood assumes that the model is true: a valve that obeys the law, only noise on PV, OP exactly as recorded. If the
+//! residual contradicts this, or OP lies on a grid, an interval must be at least as wide as the errors of similar fits on
+//! simulated loops: a [`Floor`] for each class of fits, kept in `interval.json`.
 
 use std::sync::LazyLock;
 
@@ -11,77 +11,77 @@ use serde::{Deserialize, Serialize};
 use super::residual::Whiteness;
 use crate::core::signal::stats;
 
-/// Parts of a record that are asked for their own bands.
+/// Parts of a record that are fitted separately.
 pub const THIRDS: usize = 3;
 
-/// What a third of the record says by itself. Bands in one unit with those of its [`Spread`].
+/// Fit of a third of the record. Its bands have the units of its [`Spread`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Third {
     /// Stick band plus dead band.
     pub s: f64,
     /// Slip jump.
     pub j: f64,
-    /// Gain over the whole record's.
+    /// Gain relative to the whole record's.
     pub gain: f64,
     /// Dead time, points.
     pub dead_time: f64,
 }
 
-/// The likelihood's intervals and what qualifies them. Sizes in one unit: spans of OP, or OP units after
+/// The likelihood's intervals with the quantities that qualify them. Sizes have one unit: spans of OP, or OP units after
 /// `Spread::scaled`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Stick band plus dead band.
     pub s: [f64; 2],
-    /// Slip jump; everything that the slips allow where fd is not seen apart from the gain.
+    /// Slip jump; everything that the slips allow if fd cannot be separated from the gain.
     pub j: [f64; 2],
     /// Static band, (s + j) / 2.
     pub fs: [f64; 2],
     /// Kinetic band, (s - j) / 2.
     pub fd: [f64; 2],
-    /// Whether j is seen apart from the gain.
+    /// Whether j is identified separately from the gain.
     pub j_identifiable: bool,
     /// Tests of the residual.
     pub whiteness: Whiteness,
-    /// Step of OP's values, 0 where they stand on no grid.
+    /// Step of OP's values, 0 if they lie on no grid.
     pub quantum: f64,
     /// Stiction index of the fit, 0..1.
     pub index: f64,
-    /// Whether the residual is not white and yet all other bands that the search held leave far more.
+    /// Whether the residual is not white, yet all other bands that the search kept leave a far larger error.
     pub distinct: bool,
-    /// What each third of the record says by itself, where it was asked and says anything.
+    /// Fit of each third of the record, if made and successful.
     pub thirds: [Option<Third>; THIRDS],
 }
 
-/// Least half widths in one class of fits.
+/// Smallest half widths in one class of fits.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Floor {
-    /// Of s, as a factor less 1: from `s / (1 + floor)` to `s (1 + floor)`.
+    /// For s, as a factor minus 1: from `s / (1 + floor)` to `s (1 + floor)`.
     pub s: f64,
-    /// Of j, as a share of s.
+    /// For j, as a share of s.
     pub j: f64,
-    /// Of fs, as a factor less 1.
+    /// For fs, as a factor minus 1.
     pub fs: f64,
-    /// Of fd, as a share of s.
+    /// For fd, as a share of s.
     pub fd: f64,
 }
 
-/// What the likelihood does not know, measured on simulated loops: the contents of `interval.json`.
+/// Errors that the likelihood ignores, measured on simulated loops: the contents of `interval.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// How these figures were made.
+    /// How these numbers were made.
     pub made: String,
-    /// Widening by each limiting gate that a record meets; set, not measured.
+    /// Widening for each limiting gate that a record meets; chosen, not measured.
     pub gate: f64,
-    /// Residual white and unlike OP.
+    /// Residual white and uncorrelated with OP.
     pub white: Floor,
-    /// Residual not far from white, OP on a grid.
+    /// Residual nearly white, OP on a grid.
     pub gridded: Floor,
-    /// Residual not white, but all other bands leave far more.
+    /// Residual not white, but all other bands leave a far larger error.
     pub distinct: Floor,
-    /// Residual white but like OP, or not quite white.
+    /// Residual white but correlated with OP, or not quite white.
     pub tinted: Floor,
     /// Residual far from white, friction explains nearly all.
     pub coloured: Floor,
@@ -91,17 +91,17 @@ pub struct Settings {
     pub poor: Floor,
 }
 
-/// Classes of fits that have a [`Floor`] each.
+/// Classes of fits, each with its [`Floor`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Trust {
-    /// Residual white and unlike OP.
+    /// Residual white and uncorrelated with OP.
     White,
-    /// Residual not far from white, OP on a grid.
+    /// Residual nearly white, OP on a grid.
     Gridded,
-    /// Residual not white, but all other bands leave far more.
+    /// Residual not white, but all other bands leave a far larger error.
     Distinct,
-    /// Residual white but like OP, or not quite white.
+    /// Residual white but correlated with OP, or not quite white.
     Tinted,
     /// Residual far from white, friction explains nearly all.
     Coloured,
@@ -116,7 +116,7 @@ impl Trust {
     pub const ALL: [Self; 7] =
         [Self::White, Self::Gridded, Self::Distinct, Self::Tinted, Self::Coloured, Self::Doubtful, Self::Poor];
 
-    /// Its name in tables.
+    /// The class's name in tables.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -131,45 +131,45 @@ impl Trust {
     }
 }
 
-/// Lag-1 autocorrelation, or points over independent points, from which a residual is far from white.
+/// Lag-1 autocorrelation, or points per independent point, from which a residual is far from white.
 const FAR_R1: f64 = 0.3;
 const FAR_INFLATION: f64 = 3.0;
 /// Stiction index from which friction explains nearly all, and much.
 const NEARLY_ALL: f64 = 0.9;
 const MUCH: f64 = 0.6;
-/// Step of OP's values, in s, from which it stands on a grid that matters.
+/// Step of OP's values, in s, from which the grid matters.
 const GRID: f64 = 1e-3;
-/// The same up to which the grid is a fine one: there s is wrong by some steps, while a coarse grid hides the slips. Of 25 loops
-/// each of the calibration half (seeds 2100 to 2102) on grids of 0.2, 0.4, 1 and 3 % of s, nine of ten need 0.6, 1.2, 13 and 30 %;
-/// of 46 of the report half (seeds 2100 to 2103) on one of 0.4 % four steps held but 78 %.
+/// Step up to which the grid is fine: then s errs by a few steps, while a coarse grid hides the slips. Of 25 loops each of the
+/// calibration half (seeds 2100 to 2102) on grids of 0.2, 0.4, 1 and 3 % of s, nine in ten need 0.6, 1.2, 13 and 30 %; of 46 of
+/// the report half (seeds 2100 to 2103) on a grid of 0.4 %, four steps covered only 78 %.
 const FINE_GRID: f64 = 3e-3;
-/// Least half width of s on a fine grid, steps.
+/// Smallest half width of s on a fine grid, steps.
 const FINE_STEPS: f64 = 10.0;
 
-/// Weight of a class' floor beside what the thirds of a record show, degrees of freedom; half width of a 90 % interval in standard
-/// deviations; and least half width of a fit that leaves more than noise, as a logarithm and as a share of s. Chosen on half of
-/// the valves of the labelled recordings, so that both halves of a recording agree, and on simulated loops of the calibration
-/// half.
+/// Weight of a class's floor relative to the scatter of the record's thirds, degrees of freedom; half width of a 90 % interval
+/// in standard deviations; and smallest half width of a fit whose residual is more than noise, as a logarithm and as a share of
+/// s. Chosen on half of the valves of the labelled recordings, so that both halves of a recording agree, and on simulated loops
+/// of the calibration half.
 const PRIOR: f64 = 1.0;
 const HALF_WIDTH: f64 = 1.645;
 const LEAST: f64 = 0.14;
 
-/// The intervals that are told, OP units.
+/// The reported intervals, OP units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Intervals {
-    /// Of s.
+    /// Interval of s.
     pub s: [f64; 2],
-    /// Of j.
+    /// Interval of j.
     pub j: [f64; 2],
-    /// Of fs.
+    /// Interval of fs.
     pub fs: [f64; 2],
-    /// Of fd.
+    /// Interval of fd.
     pub fd: [f64; 2],
 }
 
 impl Intervals {
-    /// Cut off where the bands around (s, j) cannot be: a valve whose s is above the span `s0` of OP never moves, j ends
-    /// where s does, and fd at half of that. Each still holds its estimate.
+    /// Limits the intervals to possible bands around (s, j): a valve whose s exceeds the span `s0` of OP never moves, j is at
+    /// most s, and fd at most half of s. Each interval still contains its estimate.
     #[must_use]
     pub const fn within(self, s0: f64, s: f64, j: f64) -> Self {
         const fn cut(x: [f64; 2], most: f64, value: f64) -> [f64; 2] {
@@ -186,7 +186,7 @@ impl Intervals {
 }
 
 impl Spread {
-    /// The same in another unit.
+    /// The same spread in another unit.
     #[must_use]
     pub(crate) fn scaled(self, by: f64) -> Self {
         let scale = |x: [f64; 2]| x.map(|v| v * by);
@@ -201,7 +201,7 @@ impl Spread {
         }
     }
 
-    /// Covers another explanation too, which the likelihood cannot tell from this one.
+    /// The union with another explanation that the likelihood cannot distinguish from this one.
     #[must_use]
     pub(crate) const fn or(self, other: &Self) -> Self {
         Self {
@@ -215,7 +215,7 @@ impl Spread {
         }
     }
 
-    /// What these intervals are worth around an estimate of s.
+    /// Class of these intervals around an estimate of s.
     #[must_use]
     pub fn trust(&self, s: f64) -> Trust {
         let w = &self.whiteness;
@@ -238,18 +238,19 @@ impl Spread {
         }
     }
 
-    /// Whether nothing but noise is left and friction explains nearly all of PV: then the likelihood is believed.
+    /// Whether the residual is only noise and friction explains nearly all of PV: then the likelihood is trusted.
     #[must_use]
     pub(crate) const fn stands(&self) -> bool {
         self.whiteness.is_noise() && self.index >= NEARLY_ALL
     }
 
-    /// A class' floor with what the thirds of the record show: of s and fs both count, j and fd may only be less well known.
+    /// A class's floor combined with the scatter of the thirds: for s and fs both count; for j and fd the thirds can only widen
+    /// it.
     fn with_thirds(&self, s: f64, floor: &Floor) -> Floor {
         let apart = |value: &dyn Fn(&Third) -> f64| {
             let values: Vec<f64> = self.thirds.iter().flatten().map(value).collect();
             let deviation = stats::std_dev(&values);
-            // Freedom, and squared standard error of the mean.
+            // Degrees of freedom, and squared standard error of the mean.
             (values.len() > 1).then(|| (values.len() as f64 - 1.0, deviation * deviation / (values.len() as f64 - 1.0)))
         };
         let factor = |floor: f64, apart: Option<(f64, f64)>| {
@@ -271,8 +272,8 @@ impl Spread {
         }
     }
 
-    /// The intervals to tell around the estimate (s, j), no narrower than `floor`, `times` wider than that for a
-    /// record that says less. They hold the estimate, that of s ends above 0, and none goes below 0.
+    /// The intervals to report around the estimate (s, j): no narrower than `floor`, and `times` wider for a record that meets
+    /// limiting gates. They contain the estimate; the interval of s ends above 0, and none extends below 0.
     #[must_use]
     pub fn told(&self, s: f64, j: f64, floor: &Floor, times: f64) -> Intervals {
         let q = self.quantum;
@@ -302,7 +303,7 @@ impl Spread {
 }
 
 impl Settings {
-    /// The figures in use.
+    /// The settings of this build.
     #[must_use]
     pub fn shipped() -> &'static Self {
         static SHIPPED: LazyLock<Settings> = LazyLock::new(|| {
@@ -311,7 +312,7 @@ impl Settings {
         &SHIPPED
     }
 
-    /// The least widths of a class.
+    /// The floor of a class.
     #[must_use]
     pub(crate) const fn of(&self, trust: Trust) -> &Floor {
         match trust {
@@ -325,15 +326,15 @@ impl Settings {
         }
     }
 
-    /// The least widths around an estimate of s: those of its class with what the thirds of the record show, where it leaves more
-    /// than noise.
+    /// The floor around an estimate of s: that of its class, combined with the scatter of the record's thirds if the residual
+    /// is more than noise.
     #[must_use]
     pub fn least(&self, spread: &Spread, s: f64) -> Floor {
         let floor = self.of_class(spread, s);
         if spread.stands() { floor } else { spread.with_thirds(s, &floor) }
     }
 
-    /// The least widths of a class: on a fine grid in proportion to its step.
+    /// The floor of a class; on a fine grid, in proportion to its step.
     fn of_class(&self, spread: &Spread, s: f64) -> Floor {
         let trust = spread.trust(s);
         let floor = *self.of(trust);
@@ -345,7 +346,7 @@ impl Settings {
         Floor { s: share * floor.s, j: share * floor.j, fs: share * floor.fs, fd: share * floor.fd }
     }
 
-    /// The least widths of a class, to be set.
+    /// Mutable floor of a class.
     pub const fn of_mut(&mut self, trust: Trust) -> &mut Floor {
         match trust {
             Trust::White => &mut self.white,
@@ -358,7 +359,7 @@ impl Settings {
         }
     }
 
-    /// Nothing measured: an octave to either side.
+    /// No measurement: a factor of two to either side.
     #[must_use]
     pub const fn unknown() -> Self {
         let floor = Floor { s: 1.0, j: 1.0, fs: 1.0, fd: 1.0 };
@@ -376,7 +377,7 @@ impl Settings {
     }
 }
 
-/// Whether sizes from parts of a record lie no farther apart than an interval is wide.
+/// Whether sizes from parts of a record differ by no more than the width of an interval.
 #[must_use]
 pub(crate) fn agree(parts: &[f64], [low, high]: [f64; 2]) -> bool {
     let least = parts.iter().copied().fold(f64::INFINITY, f64::min);
@@ -384,7 +385,7 @@ pub(crate) fn agree(parts: &[f64], [low, high]: [f64; 2]) -> bool {
     low <= 0.0 || most * low <= least * high
 }
 
-/// The smallest interval around two.
+/// The smallest interval that contains both.
 pub(crate) const fn hull(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [a[0].min(b[0]), a[1].max(b[1])]
 }
@@ -463,7 +464,7 @@ mod tests {
         assert!((alone.s - settings.tinted.s).abs() < 1e-9);
         assert!(alike.s < alone.s && alone.s < apart.s && alike.s > 0.14, "{alike:?} {apart:?}");
         assert!(alike.j == alone.j && apart.j > alone.j && apart.fs > alone.fs);
-        // What leaves but noise, and explains nearly all, knows its thirds.
+        // If the residual is only noise and nearly all is explained, the thirds are ignored.
         let white = least(spread().whiteness, [third(2.5), third(4.0), third(6.0)]);
         assert_eq!(white, settings.white);
         assert!(!Spread { index: 0.4, ..spread() }.stands());

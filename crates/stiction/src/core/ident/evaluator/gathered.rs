@@ -1,6 +1,6 @@
-//! The products that a fit needs, and what is left of them once constant, memories and loads are taken out.
+//! The products that a fit needs, and their remainder after projecting out constant, memories and loads.
 
-// Halves and parts are two and three places of several arrays at once, and the loops over them are unrolled by the compiler.
+// Two halves and three parts index several arrays at once; the compiler unrolls these loops.
 #![allow(clippy::needless_range_loop)]
 
 use super::reduced::{DEPENDENT, PAIRS, PARTS, Reduced};
@@ -8,7 +8,7 @@ use super::square::{Halves, Square};
 use super::tables::{Table, View};
 use crate::core::ident::class::{Class, INTEGRATOR_SCALE};
 
-/// Columns beside the answer, at most: constant, two memories, loads.
+/// Most columns in addition to the response: constant, two memories, loads.
 const BESIDE: usize = 3 + MOST_LOADS;
 /// Most loads of a view.
 pub(super) const MOST_LOADS: usize = 5;
@@ -38,17 +38,17 @@ pub(super) const fn has_ramp(class: usize) -> bool {
     class == INTEGRATING || class == LAG_INTEGRATING
 }
 
-/// What the sums come to.
+/// Collected products.
 pub(super) struct Gathered {
     pub(super) products: [[f64; 6]; 3],
-    /// Of PV, then of each load, with the parts.
+    /// Products of PV, then of each load, with the parts.
     pub(super) with: [[[f64; 2]; PARTS]; 1 + MOST_LOADS],
-    /// Of the constant and the memories with the parts.
+    /// Products of the constant and the memories with the parts.
     pub(super) with_beside: [[[f64; 2]; PARTS]; 3],
 }
 
 impl Gathered {
-    /// Takes the products of two parts: the halves' own, and both orders of the mixed ones.
+    /// Stores the products of two parts: those of each half with itself, and the sum of both mixed orders.
     pub(super) fn put(&mut self, pair: (usize, usize), of: &Square) {
         let slot = PAIRS.iter().position(|p| *p == pair).unwrap_or(0);
         let mixed = if pair.0 == pair.1 { of[0][1] } else { of[0][1] + of[1][0] };
@@ -58,13 +58,13 @@ impl Gathered {
     }
 }
 
-/// Where the products of one signal with a step's answers stand.
+/// Products of one signal with a step's responses.
 pub(super) struct With<'t> {
     /// Level and first decay.
     first: &'t [[f64; 2]],
     /// Second decay, after the level again.
     second: &'t [[f64; 2]],
-    /// Level and ramp, by the view.
+    /// Level and ramp, from the view.
     plain: [&'t [f64]; 2],
 }
 
@@ -74,7 +74,7 @@ impl<'t> With<'t> {
         Self { first, second, plain: view.with_step(column) }
     }
 
-    /// Adds the products of one step's answers.
+    /// Adds the products of one step's responses.
     #[inline(always)]
     pub(super) fn add<const CLASS: usize>(&self, i: usize, by: [f64; 2], into: &mut [[f64; 2]; PARTS]) {
         let level = if CLASS == INTEGRATING { [self.plain[0][i], 0.0] } else { self.first[i] };
@@ -97,7 +97,8 @@ impl<'t> With<'t> {
     }
 }
 
-/// The columns beside the answer (constant, memories, loads): their products with each other, with PV and with the parts.
+/// The columns in addition to the response (constant, memories, loads): their products with each other, with PV and with the
+/// parts.
 struct Beside {
     count: usize,
     gram: [[f64; BESIDE]; BESIDE],
@@ -145,7 +146,7 @@ impl Beside {
     }
 }
 
-/// Products of constant and memories with each other; `cross` is the sum of both decays' product from one point on.
+/// Products of constant and memories with each other; `cross` is the sum of the product of both decays from one point on.
 #[inline(always)]
 fn own_products<const CLASS: usize>(gram: &mut [[f64; BESIDE]; BESIDE], view: &View, tables: [&Table; 2], cross: f64) {
     let moments = view.moments();
@@ -170,7 +171,7 @@ fn own_products<const CLASS: usize>(gram: &mut [[f64; BESIDE]; BESIDE], view: &V
 }
 
 impl Gathered {
-    /// Takes the constant, the process' own memory and the loads out of everything.
+    /// Projects constant, the process's memory and the loads out of all products.
     pub(super) fn take_out<const CLASS: usize>(
         self,
         class: Class,

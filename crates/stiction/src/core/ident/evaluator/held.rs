@@ -1,6 +1,6 @@
-//! What the sums over a valve signal have whatever the time constants are.
+//! The part of the sums over a valve signal that does not depend on the time constants.
 
-// Halves are places of several arrays at once, and the loops over them are unrolled by the compiler.
+// Halves index several arrays at once; the compiler unrolls these loops.
 #![allow(clippy::needless_range_loop)]
 
 use super::square::{Halves, Square, add};
@@ -8,11 +8,11 @@ use super::tables::View;
 use super::walk::{Visitor, heard, number, over};
 use crate::core::sim::steps::Step;
 
-/// Products of level, ramp and steps with each other, sums of them, and sums of each times the points since the first that
-/// counts.
+/// Products of level, ramp and steps with each other, their sums, and sums of each times the distance from the first counted
+/// point.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Held {
-    /// Squares of all steps' halves, whether their points count or not: what is far below them is rounding.
+    /// Squares of all steps' halves, including points that do not count: anything far below them is rounding.
     pub(super) moved: Halves,
     pub(super) steps: Square,
     pub(super) total: Halves,
@@ -30,7 +30,7 @@ pub struct Held {
     pub(super) ramp_time: Halves,
 }
 
-/// The same for the dead times that were asked for, of one valve signal.
+/// [`Held`] for the dead times used so far, of one valve signal.
 #[derive(Debug, Clone, Default)]
 pub struct HeldSums {
     from: usize,
@@ -40,12 +40,12 @@ pub struct HeldSums {
 }
 
 impl HeldSums {
-    /// Forgets them: another valve signal comes.
+    /// Discards them before another valve signal.
     pub(crate) fn clear(&mut self) {
         self.of.clear();
     }
 
-    /// Those of a dead time of `delay` whole points; `steps` are the same from one [`HeldSums::clear`] to the next.
+    /// [`Held`] for a dead time of `delay` whole points; `steps` must stay the same until the next [`HeldSums::clear`].
     pub(crate) fn get(&mut self, view: &View, steps: &[Step], delay: usize, ramp: bool) -> Held {
         if self.from != view.from() || self.points != view.points() || self.counted != view.counted() {
             (self.from, self.points) = (view.from(), view.points());
@@ -63,7 +63,8 @@ impl HeldSums {
 }
 
 impl Held {
-    /// Of the steps of a valve signal, their answer `delay` whole points late; with what ramps are in, or without.
+    /// Sums for the steps of a valve signal whose response comes `delay` whole points late; `ramp` includes the products of
+    /// ramps.
     #[must_use]
     pub(crate) fn of(view: &View, steps: &[Step], delay: usize, ramp: bool) -> Self {
         let moved = steps

@@ -1,11 +1,10 @@
 //! The free-run error of a model, exactly and in time proportional to the steps of its valve signal.
 //!
-//! Every process model here is linear, so its answer to a staircase is a sum of shifted step responses, and each of those
-//! is made of a level, a ramp and one or two decays. Products of such columns with each other
-//! follow from sums over the valve's steps; products with PV come from tables of PV's own sums, made once for every time constant.
-//! [`View`] holds PV, the filter of the error and those tables; [`reduce`] walks the steps; [`Reduced`] knows the error
-//! for every dead time within a sample, gain and kinetic band. The plain pass over samples, `super::fit`, computes the
-//! same and is held against it by tests.
+//! Every process model here is linear, so its response to a staircase is a sum of shifted step responses, each made of a level,
+//! a ramp and one or two decays. Products of such columns with each other follow from sums over the valve's steps; products
+//! with PV come from tables of PV's own sums, made once per time constant. [`View`] holds PV, the filter of the error and those
+//! tables; [`reduce`] walks over the steps; [`Reduced`] gives the error for every dead time within a sample, gain and kinetic
+//! band. The plain pass over samples, `super::fit`, computes the same, and tests compare the two.
 
 mod gathered;
 mod held;

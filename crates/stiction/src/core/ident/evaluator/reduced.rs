@@ -1,33 +1,33 @@
-//! What the sums of a valve signal's steps say for every dead time within a sample, gain and kinetic band.
+//! The error for every dead time within a sample, gain and kinetic band, from the sums over a valve signal's steps.
 
 use crate::core::ident::class::{Class, INTEGRATOR_SCALE};
 use crate::core::ident::kinetic_band::{Freedom, best_band};
 
-/// Columns that a step response is made of, at most: level, and ramp or decays.
+/// Most columns of a step response: level, and ramp or decays.
 pub(super) const PARTS: usize = 3;
-/// Pairs of them: 00 01 11 02 12 22.
+/// Pairs of columns: 00 01 11 02 12 22.
 pub(super) const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)];
-/// Share of its own square below which a column depends on those before it.
+/// Share of its own square below which a column depends on earlier ones.
 pub(super) const DEPENDENT: f64 = 1e-9;
-/// Places of the dead time within a sample that are tried beyond the first three.
+/// Refinements of the dead time within a sample after the first three values.
 const REFINEMENTS: usize = 4;
-/// Change of that place from which another one is tried.
+/// Change of the dead time below which the refinement stops.
 const SAME_PLACE: f64 = 1e-3;
 
-/// Products of the parts of a step response with each other and with PV, whatever else is linear taken out: the error of
-/// every dead time within a sample, gain and kinetic band.
+/// Products of the parts of a step response with each other and with PV, after projecting out everything else that is linear:
+/// they determine the error for every dead time within a sample, gain and kinetic band.
 #[derive(Debug, Clone, Copy)]
 pub struct Reduced {
     pub(super) class: Class,
     pub(super) tau: [f64; 2],
     /// Level half with itself, with the direction half (both orders added off the diagonal), direction half with itself.
     pub(super) products: [[f64; 6]; 3],
-    /// Both halves with PV.
+    /// Products of both halves with PV.
     pub(super) with_pv: [[f64; PARTS]; 2],
-    /// Squares of the two halves' levels before anything was taken out, or of their steps where those are more: where no
-    /// point that counts sees a step, what is left of the levels is rounding.
+    /// Squares of the two halves' levels before the projection, or of their steps if those are larger: if no counted point sees
+    /// a step, the remainder of the levels is rounding.
     pub(super) whole: [f64; 2],
-    /// Sum of squares that constant, memory and loads leave of PV.
+    /// Sum of squares of PV after projecting out constant, memory and loads.
     pub rest: f64,
 }
 
@@ -36,7 +36,7 @@ pub struct Reduced {
 pub struct Best {
     /// Squared error.
     pub sse: f64,
-    /// Coefficient of the unit response; 0 where no gain of the asked sign helps.
+    /// Coefficient of the unit response; 0 if no gain of the requested sign helps.
     pub gain: f64,
     /// Kinetic band.
     pub fd: f64,
@@ -45,7 +45,7 @@ pub struct Best {
 }
 
 impl Reduced {
-    /// How the parts make up the answer to a unit step whose dead time is `fraction` of a sample longer.
+    /// Weights of the parts in the response to a unit step whose dead time is `fraction` of a sample longer.
     fn weights(&self, fraction: f64) -> [f64; PARTS] {
         let early = 1.0 - fraction;
         let [t1, t2] = self.tau;
@@ -62,7 +62,7 @@ impl Reduced {
         }
     }
 
-    /// Products of the two halves' answers, as [`best_band`] takes them.
+    /// Products of the two halves' responses, as in [`best_band`].
     #[must_use]
     pub(crate) fn system(&self, fraction: f64) -> [f64; 5] {
         let w = self.weights(fraction);
@@ -82,14 +82,14 @@ impl Reduced {
         ]
     }
 
-    /// Gain, kinetic band and the squares they explain at one dead time.
+    /// Gain, kinetic band and explained squares at one dead time.
     #[must_use]
     pub(crate) fn at(&self, fraction: f64, freedom: &Freedom) -> (f64, f64, f64) {
         let scale = if self.class.integrates() { 1.0 / (INTEGRATOR_SCALE * INTEGRATOR_SCALE) } else { 1.0 };
         best_band(self.system(fraction), self.whole.map(|w| w * scale), freedom)
     }
 
-    /// The best dead time from `fractions[0]` to `fractions[1]` of a sample, by parabolas through what is explained.
+    /// The best dead time from `fractions[0]` to `fractions[1]` of a sample, by parabolas through the explained squares.
     #[must_use]
     pub(crate) fn best(&self, freedom: &Freedom, fractions: [f64; 2]) -> Best {
         best_place(fractions, |fraction| {
@@ -98,8 +98,8 @@ impl Reduced {
         })
     }
 
-    /// As [`Reduced::best`] for the two lags of [`Class::Second`] side by side, each with a gain of its own (`gain` is their
-    /// sum); pairs of gains that are not `accepted` leave all of PV.
+    /// As [`Reduced::best`] for the two lags of [`Class::Second`] in parallel, each with its own gain (`gain` is their sum);
+    /// pairs of gains that are not `accepted` explain nothing.
     #[must_use]
     pub(crate) fn best_side_by_side(
         &self,
@@ -121,7 +121,7 @@ impl Reduced {
         })
     }
 
-    /// Gains of two lags side by side for one dead time and kinetic band, and the squares that they explain.
+    /// Gains of two parallel lags for one dead time and kinetic band, and the squares that they explain.
     #[must_use]
     pub(crate) fn side_by_side(&self, fraction: f64, fd: f64) -> ([f64; 2], f64) {
         let left = self.tau.map(|tau| libm::exp(-(1.0 - fraction) / tau));
@@ -146,7 +146,7 @@ impl Reduced {
     }
 }
 
-/// The least error from `range[0]` to `range[1]`, by parabolas through three places.
+/// The least error in `range`, by parabolas through three points.
 fn best_place([low, high]: [f64; 2], place: impl Fn(f64) -> Best) -> Best {
     if high - low < SAME_PLACE {
         return place(low);
@@ -168,8 +168,8 @@ fn best_place([low, high]: [f64; 2], place: impl Fn(f64) -> Best) -> Best {
     three.into_iter().reduce(|a, b| if b.sse < a.sse { b } else { a }).unwrap_or(three[0])
 }
 
-/// Where a parabola through three places has its least error, or half way towards the best end; `None` where that is the
-/// middle one already.
+/// The minimum of the parabola through three points, or a point halfway towards the best end; `None` if it coincides with the
+/// middle one.
 fn next_place(three: &[Best; 3]) -> Option<f64> {
     let [x0, x1, x2] = three.map(|p| p.fraction);
     let [e0, e1, e2] = three.map(|p| p.sse);
@@ -188,7 +188,7 @@ fn next_place(three: &[Best; 3]) -> Option<f64> {
     } else {
         three[best].fraction
     };
-    // Towards an end of the range it is gone half the way each time: stopping there would leave whole samples.
+    // Move halfway towards an end of the range: stopping at the middle would exclude whole samples.
     if !(x > x0 && x < x2) {
         x = if best == 1 { 0.5 * (x1 + x0) } else { 0.5 * (x1 + three[best].fraction) };
     }

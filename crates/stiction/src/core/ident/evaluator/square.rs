@@ -1,15 +1,15 @@
-//! A valve signal's two halves and their products: the model's valve position is the level less the kinetic band times the
-//! direction, so whatever is linear in it is kept for both, and whatever is quadratic for their products.
+//! A valve signal's two halves and their products: the modelled valve position is the level minus the kinetic band times the
+//! direction, so linear quantities are kept for both halves, and quadratic ones for their products.
 
-// Halves are places of several arrays at once, and the loops over them are unrolled by the compiler.
+// Halves index several arrays at once; the compiler unrolls these loops.
 #![allow(clippy::needless_range_loop)]
 
 /// The level half and the direction half of the valve signal.
 pub(super) type Halves = [f64; 2];
-/// Products of the halves of one thing with those of another.
+/// Products of one quantity's halves with another's.
 pub(super) type Square = [Halves; 2];
 
-/// Adds the products of two things' halves.
+/// Adds the products of the halves of `x` and `y`.
 #[inline(always)]
 pub(super) fn add(into: &mut Square, x: Halves, y: Halves) {
     for h in 0..2 {
@@ -19,7 +19,7 @@ pub(super) fn add(into: &mut Square, x: Halves, y: Halves) {
     }
 }
 
-/// The same products with the two things the other way round.
+/// The transposed products.
 pub(super) fn turned(square: &Square) -> Square {
     [[square[0][0], square[1][0]], [square[0][1], square[1][1]]]
 }

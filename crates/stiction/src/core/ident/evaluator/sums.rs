@@ -1,6 +1,6 @@
-//! The products of a valve signal's answers, from sums over its steps.
+//! Products of a valve signal's responses, from sums over its steps.
 
-// Halves and parts are two and three places of several arrays at once, and the loops over them are unrolled by the compiler.
+// Two halves and three parts index several arrays at once; the compiler unrolls these loops.
 #![allow(clippy::needless_range_loop)]
 
 use super::gathered::{FIRST, Gathered, INTEGRATING, LAG_INTEGRATING, MOST_LOADS, SECOND, With, decays, has_ramp};
@@ -12,9 +12,9 @@ use super::walk::{Visitor, heard, number, over};
 use crate::core::ident::class::{Class, INTEGRATOR_SCALE};
 use crate::core::sim::steps::Step;
 
-/// Walks the steps of a valve signal, their answer `delay` whole points late, through a process with one or two time
-/// constants (the same table twice where there is one). `held` keeps what does not depend on the process: whoever changes
-/// the steps clears it.
+/// Walks over the steps of a valve signal, whose response comes `delay` whole points late, through a process with one or two
+/// time constants (with one, pass the same table twice). `held` caches everything that does not depend on the process: clear it
+/// whenever the steps change.
 #[must_use]
 pub fn reduce(
     class: Class,
@@ -58,24 +58,24 @@ fn of_class<const CLASS: usize>(
     sums.gathered(held, view.rho(), cross, with).take_out::<CLASS>(class, view, tables, cross, held.moved)
 }
 
-/// A decay: its state at a sample is made of the steps before it, and shrinks to `a` of itself from one to the next.
+/// A decay: its state at a sample contains the steps before it and is multiplied by `a` from sample to sample.
 #[derive(Clone, Copy)]
 struct Decay {
     a: f64,
-    /// What the filter of the error makes of the state at a sample, `a - rho`; the sample's own step comes on top.
+    /// Factor of the state at a sample after the filter of the error, `a - rho`; the sample's own step is added.
     gamma: f64,
     state: Halves,
-    /// State times step, over the samples with a step: `[half of the state][half of the step]`.
+    /// Products of state and step, over the samples with a step: `[half of the state][half of the step]`.
     with_steps: Square,
-    /// Steps times the decay (the memory) that starts at the first point that counts.
+    /// Products of the steps with the decay (the memory) that starts at the first counted point.
     memory: Halves,
 }
 
-/// Sums over the samples that count.
+/// Sums over the counted samples.
 ///
-/// The state `c` of a decay follows `c' = a c + step`, that of the level likewise with `a = 1`. So the products of two of
-/// them, summed over a stretch from `s` to `e`, follow from sums over the steps alone:
-/// `(1 - a b) sum(c d) = sum(a c step + b step d + step step) + c d (s) - c d (e)`, where the last two are the edges.
+/// The state `c` of a decay follows `c' = a c + step`, that of the level the same with `a = 1`. So the products of two states,
+/// summed over a stretch from `s` to `e`, follow from sums over the steps alone:
+/// `(1 - a b) sum(c d) = sum(a c step + b step d + step step) + c d (s) - c d (e)`; the last two terms are the edges.
 struct Sums<'t, const CLASS: usize> {
     tables: [&'t Table; 2],
     powers: [&'t [f64]; 2],
@@ -88,15 +88,15 @@ struct Sums<'t, const CLASS: usize> {
     edges: Edges,
 }
 
-/// Products of states (and memories) at the starts of stretches less those at their ends.
+/// Products of states (and memories) at the starts of stretches minus those at their ends.
 #[derive(Default)]
 struct Edges {
-    /// Level with decay, decay with itself, the two decays.
+    /// Products of level and decay, of each decay with itself, and of the two decays.
     level_decay: [Square; 2],
     decay_decay: [Square; 2],
     cross: Square,
     decay: [Halves; 2],
-    /// Memory with level; with each decay.
+    /// Products of the memory with the level, and with each decay.
     memory_level: [Halves; 2],
     memory_decay: [[Halves; 2]; 2],
 }
@@ -147,7 +147,7 @@ impl<const CLASS: usize> Visitor for Sums<'_, CLASS> {
         }
     }
 
-    /// A ramp times a decay: sums of the decay's powers, and of these times their places.
+    /// Products of a ramp and a decay: sums of the decay's powers, and of these times their indices.
     #[inline(always)]
     fn stretch(&mut self, length: usize, late: usize) {
         if CLASS != LAG_INTEGRATING {
@@ -202,7 +202,7 @@ impl<const CLASS: usize> Visitor for Sums<'_, CLASS> {
 }
 
 impl<const CLASS: usize> Sums<'_, CLASS> {
-    /// Products of the parts, as the filter of the error leaves them, with each other and with what is fitted beside them.
+    /// Products of the filtered parts with each other and with the additional columns.
     fn gathered(&self, held: &Held, rho: f64, cross: f64, with: [[[f64; 2]; PARTS]; 1 + MOST_LOADS]) -> Gathered {
         let mut out = Gathered { products: [[0.0; 6]; 3], with, with_beside: [[[0.0; 2]; PARTS]; 3] };
         let (share, steps, of_level) = (1.0 - rho, held.steps, held.level_with_steps);
@@ -226,7 +226,7 @@ impl<const CLASS: usize> Sums<'_, CLASS> {
             out.put((part, part), &mixed([(gamma * gamma, both), (gamma, own), (gamma, turned(&own)), (1.0, steps)]));
             out.with_beside[0][part] =
                 core::array::from_fn(|h| gamma * (held.total[h] + self.edges.decay[k][h]) * one + held.total[h]);
-            // The memory of a decay has the place of its part.
+            // The memory of a decay has the index of its part.
             for (j, other) in self.decay.iter().enumerate().take(decays(CLASS)) {
                 let (inverse, place) = (if j == k { two } else { cross }, if j == k { part } else { 1 + j });
                 out.with_beside[part][place] = core::array::from_fn(|h| {
@@ -250,14 +250,14 @@ impl<const CLASS: usize> Sums<'_, CLASS> {
         out
     }
 
-    /// Sum of the level's state times a decay's.
+    /// Sum of the products of the level's and a decay's states.
     fn level_with_decay(&self, k: usize, held: &Held) -> Square {
         let (one, own) = (self.tables[k].inverse[0], turned(&self.decay[k].with_steps));
         let steps = [(one, held.level_with_steps), (one * self.decay[k].a, own), (one, held.steps)];
         mixed([steps[0], steps[1], steps[2], (one, self.edges.level_decay[k])])
     }
 
-    /// Sum of a memory times the level's state.
+    /// Sum of the products of a memory and the level's state.
     fn memory_with_level(&self, k: usize) -> Halves {
         let decay = &self.decay[k];
         core::array::from_fn(|h| {
@@ -265,7 +265,7 @@ impl<const CLASS: usize> Sums<'_, CLASS> {
         })
     }
 
-    /// The products that a ramp is in, and those with time.
+    /// The products with a ramp, and those with time.
     fn ramps(&self, held: &Held, rho: f64, out: &mut Gathered) {
         let (share, scale) = (1.0 - rho, 1.0 / INTEGRATOR_SCALE);
         let level_ramp = turned(&held.ramp_level);

@@ -1,41 +1,41 @@
-//! PV as an error sees it, and the tables that products of step responses with it come from.
+//! PV with the filter of the error, and the tables for products of step responses with PV.
 
 use std::sync::{Arc, OnceLock};
 
 /// Distance of two neighbouring time constants on the lattice, in logarithm.
 pub(crate) const LATTICE_STEP: f64 = 0.04;
-/// Places of the lattice: time constants from a twelfth of a point to 10 million of them.
+/// Index range of the lattice: time constants from a twelfth of a point to 10 million points.
 const PLACES: [i32; 2] = [-62, 403];
-/// Power of a decay below which it counts as nothing: what is smaller turns into denormal numbers, which are slow.
+/// Power of a decay below which it counts as zero: smaller values become denormal numbers, which are slow.
 const NOTHING: f64 = 1e-150;
 
-/// Time constant of a place on the lattice, points.
+/// Time constant for a lattice index, points.
 #[must_use]
 pub(crate) fn lattice_tau(index: i32) -> f64 {
     libm::exp(LATTICE_STEP * f64::from(index))
 }
 
-/// Place on the lattice nearest to a time constant (points, > 0).
+/// Lattice index nearest to a time constant (points, > 0).
 #[must_use]
 pub(crate) fn lattice_index(tau: f64) -> i32 {
     (libm::log(tau) / LATTICE_STEP).round() as i32
 }
 
-/// One signal on the points that count, with the products that do not depend on a time constant.
+/// One signal on the counted points, with the products that do not depend on a time constant.
 #[derive(Debug, Clone)]
 struct Column {
-    /// Filtered; 0 where it does not count.
+    /// Filtered; 0 at points that do not count.
     values: Vec<f64>,
-    /// Products with the filtered answer of a level, and of a ramp of slope 1, to a unit step at each point.
+    /// Products with the filtered level, and ramp of slope 1, that follow a unit step at each point.
     with_level: Vec<f64>,
     with_ramp: Vec<f64>,
-    /// Products with 1 and with the points since the first one that counts.
+    /// Products with 1 and with the distance from the first counted point.
     with_one: f64,
     with_time: f64,
 }
 
-/// PV behind the filter `1 - rho q^-1`, on the points that count, and other signals that are fitted beside the process'
-/// answer (loads).
+/// PV filtered by `1 - rho q^-1`, on the counted points, and other signals that are fitted in addition to the process's
+/// response (loads).
 #[derive(Debug, Clone)]
 pub struct View {
     rho: f64,
@@ -45,38 +45,38 @@ pub struct View {
     columns: Vec<Arc<Column>>,
     /// Products of the columns with each other.
     products: Vec<Vec<f64>>,
-    /// Points that count, sum of their distances from the first, and of the squares.
+    /// Number of counted points, sum of their distances from the first, and sum of the squares.
     moments: [f64; 3],
     lattice: Vec<OnceLock<Arc<Table>>>,
 }
 
-/// What a view knows for one time constant.
+/// Table of a view for one time constant.
 #[derive(Debug, Clone)]
 pub struct Table {
     /// Time constant, points.
     pub tau: f64,
-    /// What is left of a decay after a point.
+    /// Decay factor per point.
     pub a: f64,
-    /// Powers of it.
+    /// Powers of `a`.
     pub powers: Arc<Vec<f64>>,
     /// `1 / (1 - a)` and `1 / (1 - a^2)`.
     pub inverse: [f64; 2],
-    /// For each column, products with the level and the decay of a step at each point.
+    /// For each column, products with the level and the decay that follow a step at each point.
     pub steps: Vec<Arc<Vec<[f64; 2]>>>,
-    /// For each column, products with the decay from the first point that counts on.
+    /// For each column, products with the decay that starts at the first counted point.
     pub with_memory: Vec<f64>,
     /// Products of that decay with itself, with 1 and with the points since its start.
     pub memory: [f64; 3],
 }
 
 impl View {
-    /// `pv` with all points from `from` (at least 1) on.
+    /// View of `pv` that counts all points from `from` (at least 1) on.
     #[must_use]
     pub fn new(pv: &[f64], rho: f64, from: usize) -> Self {
         Self::of_stretches(pv, &[], rho, from, &[[from.max(1), pv.len()]])
     }
 
-    /// `pv` and `loads` (of its length) on the stretches `counted`, in order and none of them before `from`.
+    /// View of `pv` and `loads` (of equal length) on the stretches `counted`, in order and none before `from`.
     #[must_use]
     pub(crate) fn of_stretches(pv: &[f64], loads: &[&[f64]], rho: f64, from: usize, counted: &[[usize; 2]]) -> Self {
         let (from, points) = (from.max(1), pv.len());
@@ -94,7 +94,7 @@ impl View {
         Self { rho, from, points, counted, products: products(&columns), columns, moments, lattice: empty_lattice() }
     }
 
-    /// The same view of PV beside these loads (of its length) in place of its own; tables of PV are made once for both.
+    /// The same view of PV with these loads (of equal length) instead of its own; both share the tables of PV.
     #[must_use]
     pub(crate) fn beside(&self, loads: &[&[f64]]) -> Self {
         let column = |x: &&[f64]| Arc::new(Column::new(x, self.rho, self.from, &self.counted));
@@ -108,13 +108,13 @@ impl View {
         self.rho
     }
 
-    /// First point that may count.
+    /// First point that can count.
     #[must_use]
     pub(crate) const fn from(&self) -> usize {
         self.from
     }
 
-    /// Points, those that do not count included.
+    /// Number of points, including those that do not count.
     #[must_use]
     pub(crate) const fn points(&self) -> usize {
         self.points
@@ -126,20 +126,20 @@ impl View {
         &self.counted
     }
 
-    /// Points that count.
+    /// Number of counted points.
     #[must_use]
     pub(crate) const fn count(&self) -> f64 {
         self.moments[0]
     }
 
-    /// Sum of the squares of filtered PV less its mean: what no model at all leaves.
+    /// Sum of squares of filtered PV minus its mean: the error without any model.
     #[must_use]
     pub(crate) fn nothing(&self) -> f64 {
         let sum = self.columns[0].with_one;
         self.products[0][0] - sum * sum / self.moments[0].max(1.0)
     }
 
-    /// Loads that are fitted beside the process' answer.
+    /// Number of loads.
     #[must_use]
     pub(crate) const fn loads(&self) -> usize {
         self.columns.len() - 1
@@ -161,20 +161,20 @@ impl View {
         self.columns[column].with_time
     }
 
-    /// Products of a column with the level and with the ramp of a step at each point.
+    /// Products of a column with the level and with the ramp that follow a step at each point.
     pub(super) fn with_step(&self, column: usize) -> [&[f64]; 2] {
         let column = &self.columns[column];
         [&column.with_level, &column.with_ramp]
     }
 
-    /// The table of a place on the lattice, made when it is first asked for.
+    /// The table for a lattice index, computed on first use.
     pub(crate) fn on_lattice(&self, index: i32) -> Arc<Table> {
         let index = index.clamp(PLACES[0], PLACES[1]);
         let slot = &self.lattice[(index - PLACES[0]) as usize];
         Arc::clone(slot.get_or_init(|| Arc::new(self.table(lattice_tau(index)))))
     }
 
-    /// The table of a view beside loads, from that of the same PV without them.
+    /// Adds this view's loads to the table of the same PV without loads.
     #[must_use]
     pub(crate) fn extended(&self, of_pv: &Table) -> Table {
         let mut table = of_pv.clone();
@@ -188,7 +188,7 @@ impl View {
         table
     }
 
-    /// The table of any time constant (points, > 0).
+    /// The table for any time constant (points, > 0).
     #[must_use]
     pub fn table(&self, tau: f64) -> Table {
         let a = libm::exp(-1.0 / tau);
@@ -247,7 +247,7 @@ impl Column {
         Self { values, with_level, with_ramp, with_one, with_time }
     }
 
-    /// Products with the level and the decay of a step at each point, and with the decay from `from` on.
+    /// Products with the level and the decay that follow a step at each point, and with the decay from `from` on.
     fn steps(&self, a: f64, rho: f64, from: usize) -> (Vec<[f64; 2]>, f64) {
         let n = self.values.len();
         let mut out = vec![[0.0; 2]; n + 1];
@@ -261,7 +261,7 @@ impl Column {
     }
 }
 
-/// `a^0 .. a^(count - 1)`, eight chains side by side.
+/// `a^0 .. a^(count - 1)`, computed in eight independent chains.
 fn powers(a: f64, count: usize) -> Vec<f64> {
     const CHAINS: usize = 8;
     let mut out = vec![0.0; count];

@@ -1,4 +1,4 @@
-//! The sums against the plain pass over samples.
+//! Compares the sums with the plain pass over samples.
 
 use proptest::prelude::*;
 
@@ -98,7 +98,7 @@ proptest! {
         let reduced = reduce(class, &view, [&tables[0], &tables[1]], &steps.list, lag as usize, &mut HeldSums::default());
         let (gain, fd, explained) = reduced.at(lag.fract(), &freedom);
         let whole = view.nothing().max(squares);
-        // A lag beyond the record is nearly a ramp, and the plain pass' own columns nearly depend on each other.
+        // A lag beyond the record is nearly a ramp, so the plain pass's own columns are nearly dependent.
         let digits = if class == Class::LagIntegrating { 3e-8 } else { 1e-9 };
         prop_assert!((reduced.rest - explained - plain[2]).abs() < digits * whole, "{class:?} {rho}: {} {}", reduced.rest - explained, plain[2]);
         prop_assert!(plain[0] == 0.0 || (gain / plain[0] - 1.0).abs() < 1e-5 && (fd - plain[1]).abs() < 1e-5, "{gain} {fd} {plain:?}");
@@ -148,7 +148,7 @@ proptest! {
         gram.eliminate(last);
         let whole: f64 = columns[last].iter().map(|y| y * y).sum();
         let sse = gram.at(last, last);
-        // A gain against the sign is refused by the one and taken by the other.
+        // `reduce` rejects a gain of the wrong sign, plain least squares accepts it.
         let taken = gram.back(last, &[])[last - 1] > 0.0;
         prop_assert!(!taken || (reduced.rest - explained - sse).abs() < 1e-8 * whole, "{class:?} {}, {sse}", reduced.rest - explained);
     }

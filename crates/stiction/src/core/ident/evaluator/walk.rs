@@ -1,32 +1,33 @@
-//! The way over a valve signal's steps and the stretches of points that count.
+//! One pass over a valve signal's steps and the counted stretches of points.
 
 use super::square::Halves;
 use super::tables::View;
 use crate::core::sim::steps::Step;
 
-/// What is summed on the way. States are those before the sample at hand.
+/// Accumulator of the pass. States are those before the current sample.
 pub(super) trait Visitor {
-    /// `length` samples go by without a step.
+    /// `length` samples without a step pass.
     fn pass(&mut self, length: usize);
-    /// A sample with a step goes by.
+    /// A sample with a step passes.
     fn step(&mut self, by: Halves);
-    /// `length` samples count, from the one at hand to the next step's; the first is `late` points after the first of all.
+    /// `length` samples count, from the current one up to the next step; the first is `late` points after the first counted
+    /// point.
     fn stretch(&mut self, length: usize, late: usize);
-    /// The sample at hand has a step and counts.
+    /// The current sample has a step and counts.
     fn at_step(&mut self, by: Halves, late: usize);
-    /// A stretch that counts begins (1) or ends (-1) at the sample at hand.
+    /// A counted stretch begins (`sign` 1) or ends (-1) at the current sample.
     fn edge(&mut self, late: usize, sign: f64);
 }
 
-/// The steps that matter to a view, their answer being `delay` whole points late: what comes before the first point that
-/// counts leaves a level and a memory only, and those are fitted anyway.
+/// The steps that matter to a view if their response comes `delay` whole points late: steps before the first counted point
+/// leave only a level and a memory, which are fitted anyway.
 pub(super) fn heard<'s>(view: &View, steps: &'s [Step], delay: usize) -> &'s [Step] {
     let first = steps.partition_point(|s| (s.point as usize + delay) < view.from());
     let last = steps.partition_point(|s| (s.point as usize + delay) < view.points());
     &steps[first..last]
 }
 
-/// Goes over the steps that matter.
+/// Passes over the steps that matter.
 #[inline(always)]
 pub(super) fn over(view: &View, steps: &[Step], delay: usize, visitor: &mut impl Visitor) {
     let from = view.from();
@@ -58,7 +59,7 @@ pub(super) fn over(view: &View, steps: &[Step], delay: usize, visitor: &mut impl
     }
 }
 
-/// A count of samples as a number: by way of 32 bits, which is one instruction.
+/// A count of samples as `f64`; through 32 bits the conversion is one instruction.
 #[inline(always)]
 pub(super) const fn number(count: usize) -> f64 {
     (count as u32 as i32) as f64

@@ -1,4 +1,4 @@
-//! Where searches with other seeds end, and where the bands would have come out under other draws of the noise.
+//! Results of searches with other seeds, and bands for other noise realisations.
 
 use rand_chacha::ChaCha8Rng;
 
@@ -14,20 +14,20 @@ use super::super::slip_search::problem::Problem;
 use super::FitPlots;
 use crate::core::sim::slips::Law;
 
-/// Where one search ended.
+/// Result of one search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Optimum {
     /// Static band, OP units.
     pub fs: f64,
     /// Kinetic band, OP units.
     pub fd: f64,
-    /// Root mean squared free-run error there, PV units.
+    /// Root mean squared free-run error at these bands, PV units.
     pub rms: f64,
 }
 
-/// Restarts of a picture.
+/// Restarts per picture.
 pub const RESTARTS: usize = 8;
-/// Resamples of a picture.
+/// Resamples per picture.
 pub const RESAMPLES: usize = 40;
 /// Random steps of a search that starts at the answer.
 const FINE_STEPS: usize = 25;
@@ -35,7 +35,7 @@ const FINE_STEPS: usize = 25;
 const SHORTEST_BLOCK: usize = 10;
 
 impl FitPlots<'_> {
-    /// Bands of a candidate: all s of its cell give the same slips, so `place` (0..1) takes one of them.
+    /// Bands of a candidate: all s of its cell give the same slips, so `place` (0..1) selects one.
     fn optimum(&self, c: &Candidate, place: f64) -> Optimum {
         let [low, high] = [c.cells[0][0], c.cells[0][1].min(c.s.max(1.0))];
         let fd = c.fit.fd;
@@ -43,8 +43,8 @@ impl FitPlots<'_> {
         Optimum { fs: (s - fd) * self.span(), fd: fd * self.span(), rms: self.rms(c.fit.sse) }
     }
 
-    /// Where the whole search ends when it draws from another seed, the valve law kept: restarts that end apart tell of
-    /// several valleys of the error, not how sure the answer is. Costs as much as an estimate.
+    /// Result of the whole search with another seed and the same valve law: restarts with different results show several
+    /// valleys of the error, not the uncertainty of the answer. Costs as much as an estimate.
     #[must_use]
     pub fn restart(&self, seed: u64) -> Option<Optimum> {
         let valve = match self.candidate.law {
@@ -55,9 +55,9 @@ impl FitPlots<'_> {
         Some(Optimum { fs: 0.5 * (e.s + e.j), fd: 0.5 * (e.s - e.j), rms: e.mse.sqrt() })
     }
 
-    /// The bands found again after the residual was put together anew from its own blocks, `count` times (moving block
-    /// bootstrap, Künsch 1989; blocks of one period). OP is held as recorded, and each search starts at the answer: the
-    /// spread is that of noise and disturbance near this answer, not of other answers.
+    /// Bands fitted again to `count` resampled records, with the residual reassembled from its own blocks (moving block
+    /// bootstrap, Künsch 1989; blocks of one period). OP is kept as recorded, and each search starts at the answer: the spread
+    /// is that of noise and disturbance near this answer, not of other answers.
     #[must_use]
     pub fn bootstrap(&self, count: usize, seed: u64) -> Vec<Optimum> {
         let mut rng = seeded_rng(seed, 12);
@@ -78,7 +78,7 @@ impl FitPlots<'_> {
         out
     }
 
-    /// The answer after a few steps from where it is on another draw of the record.
+    /// The answer refined by a few steps on a resampled record.
     fn found_again(&self, normalised: &NormalisedRecord, rng: &mut ChaCha8Rng) -> Option<Candidate> {
         let c = &self.candidate;
         on_whole_record(&Problem::new(normalised, self.sign), c.law, c.class, |evaluator, view| {
@@ -89,7 +89,7 @@ impl FitPlots<'_> {
     }
 }
 
-/// As many values, put together from stretches of `block` values that begin anywhere.
+/// A resample of the same length, assembled from blocks of `block` values with random starts.
 fn blocks(x: &[f64], block: usize, draw: &mut dyn FnMut() -> f64) -> Vec<f64> {
     let mut out = Vec::with_capacity(x.len() + block);
     while out.len() < x.len() {

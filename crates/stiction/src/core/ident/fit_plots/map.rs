@@ -1,4 +1,4 @@
-//! The error over the plane of the bands, every process parameter at its best: the toolbox's error map.
+//! The error over the plane of the bands, with all process parameters optimised: the toolbox's error map.
 
 use super::super::slip_search::interval::centred;
 use super::super::surface::Surface;
@@ -12,8 +12,8 @@ pub struct Cell {
     pub fs: f64,
     /// Kinetic band, OP units.
     pub fd: f64,
-    /// Root mean squared free-run error of the best process, PV units, at the best of a few places in the cell; `None` where the stem moves less than three
-    /// times, so that no process can be fitted.
+    /// Root mean squared free-run error of the best process, PV units, at the best of a few points in the cell; `None` if the
+    /// stem moves less than three times, so that no process can be fitted.
     pub rms: Option<f64>,
 }
 
@@ -30,15 +30,15 @@ pub struct ErrorMap {
     pub cells: Vec<Cell>,
     /// The cell of least error.
     pub best: Cell,
-    /// Least and largest fs, then fd, of the cells whose squared error lies within a tenth of the way from the least to
-    /// that without friction, and of the answer's own.
+    /// Least and largest fs, then fd, of the suggested cells: those whose squared error exceeds the least by at most a tenth of
+    /// the distance to the error without friction, or is no larger than the answer's.
     pub region: [[f64; 2]; 2],
 }
 
-/// Share of the way from the least squared error to that without friction within which a cell is still suggested.
+/// Share of the distance from the least squared error to that without friction up to which a cell is suggested.
 const SUGGESTED: f64 = 0.1;
 
-/// Places of a cell besides its middle, within the triangle.
+/// Points of a cell besides its middle, within the triangle.
 fn around([s, j]: [f64; 2], step: f64) -> Vec<[f64; 2]> {
     let quarter = 0.25 * step;
     let all = [[s - quarter, j], [s + quarter, j], [s, j - quarter], [s, j + quarter]];
@@ -46,8 +46,8 @@ fn around([s, j]: [f64; 2], step: f64) -> Vec<[f64; 2]> {
 }
 
 impl FitPlots<'_> {
-    /// The error of each cell of a grid of `step`, a share of OP's span, for one order of the process. `None` where no
-    /// cell has an error.
+    /// The error of each cell of a grid of `step`, a share of OP's span, for one order of the process. `None` if no cell has an
+    /// error.
     #[must_use]
     pub fn error_map(&self, order: u8, step: f64) -> Option<ErrorMap> {
         let law = self.candidate.law;
@@ -63,7 +63,7 @@ impl FitPlots<'_> {
             Some((centred(&own), self.rms(own.sse())))
         });
         let mut rms = |[s, j]: [f64; 2]| surface.mse(0.5 * (s + j) * self.span(), 0.5 * (s - j) * self.span()).sqrt();
-        // Where no process follows OP as it is, there is none.
+        // If no process fits with OP as the valve signal, use the error without any model.
         let without = Some(rms([0.0; 2])).filter(|rms| rms.is_finite());
         let without = without.unwrap_or_else(|| {
             self.evaluate(|evaluator, _| self.rms(evaluator.problem.view(self.rho, evaluator.points).nothing()))
@@ -74,7 +74,7 @@ impl FitPlots<'_> {
             for b in 0..=a.min(count - a) {
                 let (fs, fd) = (f64::from(a) * step, f64::from(b) * step);
                 let middle = [fs + fd, fs - fd];
-                // Valleys are narrower than cells: a cell is worth its best place.
+                // Valleys are narrower than cells: a cell gets the error of its best point.
                 let places = around(middle, step).into_iter().chain([middle]);
                 let mut best = places.map(&mut rms).fold(f64::INFINITY, f64::min);
                 if let Some(([s, j], own)) = own
@@ -90,7 +90,7 @@ impl FitPlots<'_> {
         let (best, least) = known().min_by(|a, b| a.1.total_cmp(&b.1))?;
         let most = known().find(|(c, _)| c.fs == 0.0).map_or(least, |(_, rms)| rms);
         let limit = least * least + SUGGESTED * (most * most - least * least).max(0.0);
-        // What was chosen is suggested, however narrow its valley is.
+        // The answer itself is always suggested, however narrow its valley.
         let chosen = own.filter(|_| order == self.candidate.class.order()).map_or(0.0, |(_, rms)| rms * rms);
         let limit = limit.max(chosen);
         let mut region = [[best.fs; 2], [best.fd; 2]];

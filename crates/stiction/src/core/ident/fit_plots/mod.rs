@@ -33,7 +33,7 @@ const fn class_of(order: u8, integrating: bool) -> Class {
     }
 }
 
-/// The model's process, its time constants on the lattice.
+/// The model's process with its time constants on the lattice.
 fn on_lattice(model: &Model, record: &Record) -> LatticeFit {
     let (places, lag) = (model.taus(record).map(|tau| lattice_index(tau.max(1e-3))), model.lag(record));
     LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() }
@@ -45,9 +45,9 @@ pub struct FitPlots<'a> {
     record: &'a Record,
     options: Options,
     normalised: NormalisedRecord,
-    /// The valve, with its process on the lattice.
+    /// The valve, with the process's time constants on the lattice.
     candidate: Candidate,
-    /// The process, its time constants off the lattice.
+    /// The process with its time constants off the lattice.
     process: Polished,
     sign: f64,
     /// Filter of the error that the estimate minimised.
@@ -110,18 +110,18 @@ impl<'a> FitPlots<'a> {
         Some(Self { record, options: *options, normalised, candidate, process, sign, rho: 0.0 })
     }
 
-    /// The same with the error map of the error behind `1 - rho q^-1`, which the estimate minimised.
+    /// The same, with the error map by the error that the estimate minimised, filtered with `1 - rho q^-1`.
     #[must_use]
     pub fn behind(self, rho: f64) -> Self {
         Self { rho, ..self }
     }
 
-    /// Does some `work` with an evaluator of the record.
+    /// Runs `work` with an evaluator of the record.
     fn evaluate<T>(&self, work: impl FnOnce(&mut Evaluator<'_>, &mut View) -> T) -> T {
         on_whole_record(&Problem::new(&self.normalised, self.sign), self.candidate.law, self.candidate.class, work)
     }
 
-    /// What the model leaves of PV from the first valid point on, standard deviations of PV.
+    /// Residual of the model from the first valid point on, standard deviations of PV.
     fn residual(&self) -> Vec<f64> {
         self.evaluate(|evaluator, view| evaluator.residual(view, &self.candidate, &self.process))
     }
@@ -164,7 +164,7 @@ impl<'a> FitPlots<'a> {
         let own = &self.candidate;
         let class = class_of(order, own.class.integrates());
         let refitted = evaluator.in_class(view, own, class);
-        // The first order itself, with a second lag too short to matter.
+        // The first-order model itself, with a negligible second lag.
         let short = lattice_index(self.normalised.limits.tau[0]);
         let fit = LatticeFit { places: [own.fit.places[0], short], ..own.fit };
         let same = (own.class == Class::First && class == Class::Second)
@@ -173,7 +173,7 @@ impl<'a> FitPlots<'a> {
         refitted.into_iter().chain(same).min_by(|a, b| a.sse().total_cmp(&b.sse()))
     }
 
-    /// The figures for either order of the process, with the same valve.
+    /// Errors for both orders of the process, with the same valve.
     #[must_use]
     pub fn orders(&self) -> OrderChart {
         let figures = [1, 2].into_iter().filter_map(|order| {
@@ -188,7 +188,7 @@ impl<'a> FitPlots<'a> {
     }
 }
 
-/// The best candidate with the `bands` (s, j), spans of OP, its process fitted from the one `told` and from that without
+/// The best candidate with the `bands` (s, j), spans of OP; its process is fitted from `told` and from the process without
 /// friction.
 fn refit(evaluator: &mut Evaluator<'_>, view: &mut View, [s, j]: [f64; 2], told: &LatticeFit) -> Option<Candidate> {
     let class = evaluator.class;

@@ -11,7 +11,7 @@ const FS: f64 = 2.4;
 const FD: f64 = 1.2;
 const NOISE: f64 = 0.05;
 
-/// OP that swings, a sticking valve of He's law, a process of one class (points), white noise.
+/// An oscillating OP, a sticking valve of He's law, a process of one class (points), white noise.
 fn record(class: Class, shape: Shape) -> (Record, Vec<f64>) {
     let op: Vec<f64> =
         (0..600).map(f64::from).map(|t| 50.0 + 4.0 * libm::sin(0.08 * t) + 2.0 * libm::sin(0.019 * t)).collect();
