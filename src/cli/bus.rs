@@ -13,10 +13,10 @@ const SETTLE: Duration = Duration::from_millis(500);
 /// How long a put waits for a receiver that is busy, µs.
 const PATIENCE_US: &str = "60000000";
 
-/// A key prefix, as an option takes it.
+/// A key prefix, parsed from an option.
 ///
 /// # Errors
-/// It is none.
+/// The text is not a valid prefix.
 pub fn prefix(text: &str) -> Result<String, String> {
     if stiction::core::units::is_loop_name(text) {
         Ok(text.to_owned())
@@ -25,10 +25,10 @@ pub fn prefix(text: &str) -> Result<String, String> {
     }
 }
 
-/// A Zenoh endpoint, as options take it.
+/// A Zenoh endpoint, parsed from an option.
 ///
 /// # Errors
-/// It is none.
+/// The text is not an endpoint.
 pub fn endpoint(text: &str) -> Result<String, String> {
     match text.split_once('/') {
         Some((protocol, address)) if !protocol.is_empty() && !address.is_empty() => Ok(text.to_owned()),

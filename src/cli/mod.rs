@@ -159,7 +159,7 @@ pub fn say(line: impl Display) -> std::io::Result<()> {
     writeln!(std::io::stdout().lock(), "{}", plain(&line.to_string()))
 }
 
-/// Names the build below the figures that a command measured of it; documents for programs are left alone.
+/// Prints the build below figures that a command measured with it; JSON output is left alone.
 ///
 /// # Errors
 /// The command failed; stdout is closed.
@@ -198,7 +198,7 @@ pub fn put(text: &str, out: Option<&Path>, force: bool) -> anyhow::Result<()> {
 
 /// Prints a warning on stderr.
 pub fn warn(line: impl Display) {
-    // Where nobody listens any more nothing is to be told.
+    // A closed stderr is no reason to fail.
     let _ = writeln!(std::io::stderr().lock(), "warning: {}", plain(&line.to_string()));
 }
 

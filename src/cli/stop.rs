@@ -1,13 +1,13 @@
-//! Ctrl-C for commands that compute: the first one ends them after what is under way, the second at once.
+//! Ctrl-C for commands that compute: the first ends them after the current step, the second at once.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static ASKED: AtomicBool = AtomicBool::new(false);
 
-/// Exit code of a process that a second Ctrl-C ends, as shells know it.
+/// Exit code after a second Ctrl-C, by the convention of shells.
 const ENDED: i32 = 130;
 
-/// Whether somebody asked the command to stop.
+/// Whether the user asked the command to stop.
 pub fn asked() -> bool {
     ASKED.load(Ordering::Relaxed)
 }

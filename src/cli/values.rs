@@ -1,8 +1,8 @@
-//! Values with a comma between them, as options take them.
+//! Comma-separated values in options.
 
 use stiction::core::verdict::prevalence::SHARES;
 
-/// Two words with a comma between them, such as `example`.
+/// Two words separated by a comma, such as `example`.
 ///
 /// # Errors
 /// There is no comma.
@@ -13,7 +13,7 @@ pub fn pair<'t>(text: &'t str, example: &str) -> Result<(&'t str, &'t str), Stri
 /// Two numbers, lower first.
 ///
 /// # Errors
-/// They are no numbers, or the first is not the lower.
+/// One is not a number, or the first is not smaller than the second.
 pub fn rising(text: &str) -> Result<[f64; 2], String> {
     let (low, high) = pair(text, "0,100")?;
     let number = |s: &str| s.trim().parse::<f64>().map_err(|_| format!("{s:?} is not a number"));
@@ -21,10 +21,10 @@ pub fn rising(text: &str) -> Result<[f64; 2], String> {
     if range[1] > range[0] { Ok(range) } else { Err("the upper end must be above the lower".to_owned()) }
 }
 
-/// A share between 0 and 1, neither of which is one.
+/// A fraction strictly between 0 and 1, within [`SHARES`].
 ///
 /// # Errors
-/// It is no number, or outside.
+/// It is not a number, or outside the limits.
 pub fn share(text: &str) -> Result<f64, String> {
     let share = text.trim().parse::<f64>().map_err(|_| format!("{text:?} is not a number"))?;
     let [least, most] = SHARES;

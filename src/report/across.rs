@@ -1,4 +1,4 @@
-//! The horizontal axis: values, or time by the clock.
+//! The horizontal axis: values, or times.
 
 use std::ops::Range;
 
@@ -7,10 +7,10 @@ use plotters::coord::types::RangedCoordf64;
 
 use stiction::core::units::{format_rfc3339, is_date, ns_from_s, to_decimals};
 
-/// Pixels that a label needs: a number or a time, and a day with its time.
+/// Pixels needed by a label: a number or a time of day, and a date with its time.
 const LABEL: u32 = 62;
 const LONG_LABEL: u32 = 92;
-/// Steps between the labels of a clock, s.
+/// Possible intervals between time labels, s.
 const STEPS_S: [f64; 22] = [
     1.0,
     2.0,
@@ -41,14 +41,14 @@ const DAY_S: f64 = 86_400.0;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Across {
     label: String,
-    /// Stamp of the axis' zero, where the axis is seconds and labels are to be times of day.
+    /// Stamp of the axis' zero, if the labels are times of day.
     start_ns: Option<i64>,
-    /// Whether the axis is seconds: long ones are told in minutes, hours or days.
+    /// Whether the axis is in seconds; long ones are labelled in minutes, hours or days.
     is_time: bool,
     labelled: bool,
 }
 
-/// Unit in which so many seconds are told, and its seconds.
+/// Unit for the labels of an axis of this width, and its length in seconds.
 fn unit_of(width_s: f64) -> (f64, &'static str) {
     match width_s {
         w if w > 3.0 * DAY_S => (DAY_S, "d"),
@@ -59,31 +59,31 @@ fn unit_of(width_s: f64) -> (f64, &'static str) {
 }
 
 impl Across {
-    /// Values, with what they are and their unit.
+    /// Values, with a label that includes the unit.
     #[must_use]
     pub fn value(label: &str) -> Self {
         Self { label: label.to_owned(), start_ns: None, is_time: false, labelled: true }
     }
 
-    /// Seconds from a stamp: times in UTC where it is a date, else the time from the start.
+    /// Seconds from a stamp: labelled in UTC if the stamp is a date, else as time from the start.
     #[must_use]
     pub fn time_from(start_ns: i64) -> Self {
         let start_ns = is_date(start_ns).then_some(start_ns);
         Self { start_ns, is_time: true, ..Self::value("time from the section's start") }
     }
 
-    /// The same axis of a panel above the lowest.
+    /// The same axis without labels, for a panel above the lowest.
     #[must_use]
     pub fn without_labels(&self) -> Self {
         Self { labelled: false, ..self.clone() }
     }
 
-    /// Whether anything is written below it.
+    /// Whether it has labels.
     pub(super) const fn labelled(&self) -> bool {
         self.labelled
     }
 
-    /// What stands below the labels.
+    /// The title below the labels.
     pub(super) fn title(&self, [from, to]: [f64; 2]) -> String {
         match self.start_ns {
             _ if !self.labelled => String::new(),
@@ -96,7 +96,7 @@ impl Across {
         }
     }
 
-    /// Where labels and lines stand on an axis so many pixels wide.
+    /// Positions of labels and grid lines on an axis of this width.
     pub(super) fn ticks(&self, x: [f64; 2], pixels: u32) -> Vec<f64> {
         let Some(start_ns) = self.start_ns else {
             let unit_s = if self.is_time { unit_of(x[1] - x[0]).0 } else { 1.0 };
@@ -105,7 +105,7 @@ impl Across {
         };
         let wide = if x[1] - x[0] > DAY_S { LONG_LABEL } else { LABEL };
         let step_s = clock_step_s(x, (pixels / wide).clamp(2, 14));
-        // Whole steps of the clock, not of the record.
+        // At whole intervals of the clock, not counted from the start of the record.
         let into_step_s = start_ns.rem_euclid(ns_from_s(step_s)) as f64 * 1e-9;
         let first = ((x[0] + into_step_s) / step_s - 1e-9).ceil();
         (0..50)
@@ -114,7 +114,7 @@ impl Across {
             .collect()
     }
 
-    /// What is written at a place of an axis from one value to another.
+    /// Text of the label at a value.
     pub(super) fn tick(&self, value: f64, x: [f64; 2]) -> String {
         match self.start_ns {
             _ if !self.labelled => String::new(),
@@ -135,7 +135,7 @@ impl Across {
     }
 }
 
-/// The least step that needs no more than so many labels.
+/// The smallest interval that needs at most this many labels.
 fn clock_step_s(x: [f64; 2], labels: u32) -> f64 {
     let least = (x[1] - x[0]) / f64::from(labels);
     STEPS_S.into_iter().find(|step| *step >= least).unwrap_or_else(|| (least / DAY_S).ceil() * DAY_S)
@@ -150,7 +150,7 @@ pub(super) fn ticks(x: [f64; 2], count: usize) -> Vec<f64> {
     (first..).map(|k| k as f64 * step).take_while(|v| *v <= x[1] + 1e-9 * step).take(50).collect()
 }
 
-/// A number for a tick of an axis that spans `width`: as many digits as tell ticks apart.
+/// Text of a tick on an axis that spans `width`, with enough digits to tell ticks apart.
 pub(super) fn tick(value: f64, width: f64) -> String {
     let size = value.abs();
     if value != 0.0 && (size >= 1e6 || (size < 1e-4 && width < 1e-4)) {
@@ -161,7 +161,7 @@ pub(super) fn tick(value: f64, width: f64) -> String {
     if text == "-0" { "0".to_owned() } else { text.replace('-', "\u{2212}") }
 }
 
-/// A horizontal scale with its labels and lines where [`Across`] puts them.
+/// A horizontal scale with labels and grid lines from [`Across`].
 #[derive(Clone)]
 pub(super) struct Ticked {
     scale: RangedCoordf64,

@@ -1,4 +1,4 @@
-//! Histograms, maps of colours and bars: data in, SVG out, as [`super::plot`].
+//! Histograms, heat maps and bars as SVG, like [`super::plot`].
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -11,7 +11,7 @@ use super::plot::{
 };
 use stiction::core::units::number;
 
-/// Counts of values over one axis.
+/// Counts of values along one axis.
 #[derive(Debug, Clone)]
 pub struct Histogram<'a> {
     /// What it shows.
@@ -20,22 +20,22 @@ pub struct Histogram<'a> {
     pub size: [u32; 2],
     /// Horizontal axis, with the unit.
     pub x_label: &'a str,
-    /// Sets of values: name, values, colour; drawn over one another, half transparent.
+    /// Sets of values: name, values, colour; drawn on top of each other, half transparent.
     pub sets: &'a [(&'a str, &'a [f64], Ink)],
-    /// A value to be marked, with its name.
+    /// A value to mark, with its name.
     pub mark: Option<(&'a str, f64)>,
 }
 
 /// Bins of a histogram.
 const BINS: usize = 24;
 
-/// A histogram of one or several sets of values.
+/// Draws a histogram of one or several sets of values.
 ///
 /// # Errors
-/// [`PlotError`], where the drawing library refuses.
+/// [`PlotError`], if the drawing library fails.
 pub fn histogram(h: &Histogram<'_>) -> Result<Picture, PlotError> {
     let marked = h.mark.map(|m| m.1);
-    // No narrower than a few per cent of the marked value: less does not matter.
+    // At least a few per cent of the marked value wide, since smaller differences do not matter.
     let least = marked.map(|m| [0.97 * m, 1.03 * m]);
     let x = range(h.sets.iter().flat_map(|s| s.1.iter().copied()).chain(least.into_iter().flatten()), 0.05);
     let counted: Vec<Vec<u32>> = h.sets.iter().map(|s| counts(s.1, x, BINS)).collect();
@@ -63,7 +63,7 @@ pub fn histogram(h: &Histogram<'_>) -> Result<Picture, PlotError> {
     })
 }
 
-/// How many values fall into each of `bins` equal parts of a range; values at its end belong to the last.
+/// Number of values in each of `bins` equal parts of a range; values at its end belong to the last part.
 #[must_use]
 pub fn counts(values: &[f64], x: [f64; 2], bins: usize) -> Vec<u32> {
     let mut out = vec![0; bins];
@@ -74,12 +74,12 @@ pub fn counts(values: &[f64], x: [f64; 2], bins: usize) -> Vec<u32> {
     out
 }
 
-/// A line over a [`HeatMap`], or a word where it has no points but one.
+/// A line over a [`HeatMap`], or a word if it has a single point.
 #[derive(Debug, Clone)]
 pub struct Overlay<'a> {
     /// Its name in the legend; empty leaves it out.
     pub name: &'a str,
-    /// Corners.
+    /// Vertices.
     pub points: Vec<(f64, f64)>,
     /// How it is drawn; [`Mark::Dots`] for a single best point.
     pub mark: Mark,
@@ -98,31 +98,31 @@ pub struct HeatMap<'a> {
     pub x_label: &'a str,
     /// Vertical axis, with the unit.
     pub y_label: &'a str,
-    /// What the colours stand for, with the unit.
+    /// Quantity shown by the colours, with the unit.
     pub z_label: &'a str,
-    /// Cells: middle on either axis, value. One that is not finite is left out.
+    /// Cells: centre on either axis, and value. Values that are not finite are left out.
     pub cells: &'a [[f64; 3]],
     /// Width and height of a cell.
     pub step: [f64; 2],
-    /// Ranges of the axes.
+    /// Range of the horizontal axis.
     pub x: [f64; 2],
     /// Range of the vertical axis.
     pub y: [f64; 2],
-    /// Corners of the part of the plane that makes sense; what has no value in it is grey.
+    /// Vertices of the meaningful part of the plane; it is grey where there is no value.
     pub ground: Vec<(f64, f64)>,
     /// Lines and points over it.
     pub overlays: Vec<Overlay<'a>>,
-    /// Words over it: place and text.
+    /// Words over it: position and text.
     pub words: Vec<([f64; 2], &'a str)>,
 }
 
-/// Width of the colour scale with its numbers, pixels.
+/// Width of the colour scale including its numbers, pixels.
 const SCALE: u32 = 100;
 
-/// A heat map with its colour scale.
+/// Draws a heat map with its colour scale.
 ///
 /// # Errors
-/// [`PlotError`], where the drawing library refuses.
+/// [`PlotError`], if the drawing library fails.
 pub fn heat_map(map: &HeatMap<'_>) -> Result<Picture, PlotError> {
     let z = Scale::of(range(map.cells.iter().map(|c| c[2]), 0.0));
     let [width, height] = map.size;
@@ -159,7 +159,7 @@ pub fn heat_map(map: &HeatMap<'_>) -> Result<Picture, PlotError> {
     Ok(picture)
 }
 
-/// A line over colours is white there; in the legend, on paper, it is text.
+/// Lines over colours are white; the legend on the page background shows them in text colour.
 fn shown(ink: Ink) -> Ink {
     if ink == Ink::Over { Ink::Soft } else { ink }
 }
@@ -168,7 +168,7 @@ fn shown(ink: Ink) -> Ink {
 #[derive(Debug, Clone, Copy)]
 struct Scale {
     z: [f64; 2],
-    /// Equal steps of colour are equal factors.
+    /// Whether the scale is logarithmic.
     log: bool,
 }
 
@@ -177,7 +177,7 @@ impl Scale {
         Self { z, log: z[0] > 0.0 && z[1] > 3.0 * z[0] }
     }
 
-    /// Value at a share of the scale.
+    /// Value at a fraction of the scale.
     fn at(self, share: f64) -> f64 {
         let [low, high] = self.z;
         if self.log { low * (high / low).powf(share) } else { low + (high - low) * share }
@@ -189,7 +189,7 @@ impl Scale {
         share.clamp(0.0, 1.0)
     }
 
-    /// Dark for small values, bright for large ones, even to the eye and to the colour-blind.
+    /// Dark for small values, bright for large ones; perceptually uniform, also for colour-blind readers.
     fn colour(self, value: f64) -> RGBColor {
         ViridisRGB.get_color(self.share(value) as f32)
     }
@@ -217,22 +217,22 @@ fn scale(area: &Area<'_>, top: u32, height: u32, z: Scale, label: &str) -> Drawn
 /// One horizontal bar.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bar<'a> {
-    /// What it is.
+    /// Its name.
     pub label: &'a str,
-    /// Its length; `None` is said to be unknown.
+    /// Its length; `None` is shown as unknown.
     pub value: Option<f64>,
-    /// What it may be.
+    /// Its interval.
     pub interval: Option<[f64; 2]>,
     /// Colour.
     pub ink: Ink,
-    /// A remark behind it; the value where it is empty.
+    /// A note after it; if empty, the value.
     pub note: &'a str,
 }
 
-/// Horizontal bars with intervals, in the order given.
+/// Draws horizontal bars with intervals, in the given order.
 ///
 /// # Errors
-/// [`PlotError`], where the drawing library refuses.
+/// [`PlotError`], if the drawing library fails.
 pub fn bars(title: &str, width: u32, x_label: &str, rows: &[Bar<'_>]) -> Result<Picture, PlotError> {
     const ROW: u32 = 26;
     let fine = f64::from(FINE);
@@ -291,10 +291,10 @@ fn value_text(value: Option<f64>) -> String {
     value.map_or_else(|| "unknown".to_owned(), number)
 }
 
-/// A table of shares as colours with the numbers in it: row by row, say truths against answers. Counts are whole.
+/// Draws a table of fractions as colours with numbers, row by row, for example truths by answers. Counts are integers.
 ///
 /// # Errors
-/// [`PlotError`], where the drawing library refuses.
+/// [`PlotError`], if the drawing library fails.
 pub fn confusion(
     title: &str,
     width: u32,

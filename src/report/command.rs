@@ -1,10 +1,10 @@
-//! The command line that makes a report, as reports tell it.
+//! The command line that makes a report, as quoted in reports.
 
-/// A command as it can be pasted into a shell.
+/// A command that can be pasted into a shell.
 pub fn command_line(arguments: impl Iterator<Item = String>) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
     let quoted = arguments.enumerate().map(|(k, text)| {
-        // The program by its name: where it stands differs between machines.
+        // The program by name only, since its path differs between machines.
         let text = if k == 0 { text.rsplit('/').next().unwrap_or("stictiond").to_owned() } else { text };
         if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
     });

@@ -1,32 +1,32 @@
-//! The computations behind a loop's pictures, in the order of their cost.
+//! The computations for a loop's pictures, cheapest first.
 
 use stiction::core::ident::fit_plots;
 use stiction::core::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Optimum, OrderChart, RESAMPLES, RESTARTS};
 use stiction::core::record::Record;
 use stiction::core::verdict::{AssessParams, Assessment};
 
-/// Step of the error maps, share of OP's span.
+/// Step of the error maps, fraction of OP's span.
 const MAP_STEP: f64 = 0.025;
 
-/// What the detailed pictures show.
+/// Data for the detailed pictures.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detail {
     /// Span of OP, OP units.
     pub span: f64,
     /// The model's curves.
     pub run: FreeRun,
-    /// Error over the plane for first and second order.
+    /// Error maps over the (fs, fd) plane for first and second order.
     pub maps: Vec<ErrorMap>,
-    /// What decides the order.
+    /// The comparison that decides the order.
     pub orders: OrderChart,
-    /// Where searches with other seeds end.
+    /// End points of searches with other seeds.
     pub restarts: Vec<Optimum>,
-    /// Bands under other draws of the residual.
+    /// Bands from resampled residuals.
     pub bootstrap: Vec<Optimum>,
 }
 
 impl Detail {
-    /// Computes everything for one loop; `None` where nothing was fitted. Takes a few times as long as an estimate.
+    /// Computes everything for one loop; `None` if nothing was fitted. Takes a few times as long as an estimate.
     #[must_use]
     pub fn of(record: &Record, params: &AssessParams, a: &Assessment) -> Option<Self> {
         let model = a.model()?;
@@ -44,13 +44,13 @@ impl Detail {
         })
     }
 
-    /// The suggested region of a map, whole cells: least and largest fs, then fd, OP units.
+    /// The suggested region of a map, in whole cells: smallest and largest fs, then fd, OP units.
     #[must_use]
     pub fn suggested(map: &ErrorMap) -> [[f64; 2]; 2] {
         map.region.map(|[low, high]| [(low - 0.5 * map.step).max(0.0), high + 0.5 * map.step])
     }
 
-    /// The map of an order.
+    /// The map for an order.
     #[must_use]
     pub fn map(&self, order: u8) -> Option<&fit_plots::ErrorMap> {
         self.maps.iter().find(|m| m.order == order)

@@ -1,4 +1,4 @@
-//! The loop as a block diagram, with its tags.
+//! Block diagram of the loop with its tags.
 
 use maud::{PreEscaped, html};
 
@@ -21,7 +21,7 @@ pub struct Tags {
 }
 
 impl Tags {
-    /// The names that a loop's signals have without tags of their own.
+    /// Default names of a loop's signals without tags.
     #[must_use]
     pub fn of_loop(name: &str, sp: bool, mv: bool) -> Self {
         let tag = |signal: &str| format!("{name}.{signal}");
@@ -35,7 +35,7 @@ const HEIGHT: u32 = 150;
 /// Letters of a tag that fit below an arrow.
 const LETTERS: usize = 15;
 
-/// SP, controller, OP, valve, MV, process, PV and the way back.
+/// Draws SP, controller, OP, valve, MV, process, PV and the feedback.
 #[must_use]
 pub fn loop_diagram(tags: &Tags) -> Picture {
     let unknown = "not recorded".to_owned();
@@ -58,7 +58,7 @@ pub fn loop_diagram(tags: &Tags) -> Picture {
                 text x=(x + wide / 2) y="55" text-anchor="middle" { (name) }
             }
             @for (from, to, name, tag, ink) in arrows {
-                // SP's tag stands above, where it meets nothing; PV's keeps off the way back.
+                // SP's tag is placed above the arrow, where it is clear; PV's keeps clear of the feedback line.
                 @let (middle, anchor, y) = match name {
                     "SP" => (4, "start", 20),
                     "PV" => (658, "middle", 96),

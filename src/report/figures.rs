@@ -1,4 +1,4 @@
-//! One loop's pictures, from its record and what was computed of it.
+//! One loop's pictures, from its record and the results computed from it.
 
 use stiction::core::ident::fit_plots::{ErrorMap, Optimum};
 use stiction::core::ident::region::{BOUNDS, STRENGTHS};
@@ -22,22 +22,22 @@ pub struct Figure {
     pub picture: Picture,
     /// What it shows and how to read it.
     pub caption: String,
-    /// Whether it takes the page's whole width.
+    /// Whether it needs the whole width of the page.
     pub wide: bool,
 }
 
-/// Everything that a loop's pictures are made of.
+/// The data for a loop's pictures.
 #[derive(Debug, Clone, Copy)]
 pub struct Subject<'a> {
     /// The record that was analysed.
     pub record: &'a Record,
-    /// The section as recorded, where the analysed one was thinned.
+    /// The section as recorded, if the analysed one was downsampled.
     pub original: Option<&'a Record>,
-    /// What it says.
+    /// Its assessment.
     pub assessment: &'a Assessment,
     /// Names of its signals.
     pub tags: &'a Tags,
-    /// What was computed for detailed pictures.
+    /// Results for the detailed pictures.
     pub detail: Option<&'a Detail>,
 }
 
@@ -45,7 +45,7 @@ const WIDE: u32 = 1080;
 const HALF: u32 = 520;
 /// Points of a curve in an overview picture.
 const FEW_POINTS: usize = 160;
-/// Points of a phase plot from which it shows how many lie where.
+/// Points above which a phase plot shows their density.
 const DENSE: usize = 2_500;
 
 type Figures = Result<Vec<Figure>, PlotError>;
@@ -54,10 +54,10 @@ fn times(record: &Record) -> Vec<f64> {
     (0..record.len()).map(|k| k as f64 * record.point_s()).collect()
 }
 
-/// All detailed pictures; those that need a fit are left out without one.
+/// All detailed pictures; without a fit, those that need one are left out.
 ///
 /// # Errors
-/// [`PlotError`], where the drawing library refuses.
+/// [`PlotError`], if the drawing library fails.
 pub fn detailed(of: &Subject<'_>) -> Figures {
     let recorded = of.original.unwrap_or(of.record);
     let caption = format!("The loop and its tags. Sampling time {} s.", number(recorded.recorded_ts_s));
@@ -98,10 +98,10 @@ pub fn detailed(of: &Subject<'_>) -> Figures {
     Ok(out)
 }
 
-/// The two pictures of a loop that is shown in short.
+/// The two pictures of a loop that is shown briefly.
 ///
 /// # Errors
-/// [`PlotError`], where the drawing library refuses.
+/// [`PlotError`], if the drawing library fails.
 pub fn brief(of: &Subject<'_>) -> Figures {
     let step = of.record.len().div_ceil(FEW_POINTS).max(1);
     let short = thinner(of.record, step);
@@ -113,7 +113,7 @@ pub fn brief(of: &Subject<'_>) -> Figures {
     ])
 }
 
-/// Every `step`-th point of a record, for small pictures only.
+/// Every `step`-th point of a record, only for small pictures.
 fn thinner(record: &Record, step: usize) -> Record {
     let every = |x: &[f64]| x.iter().copied().step_by(step).collect::<Vec<_>>();
     Record {
@@ -131,7 +131,7 @@ fn line<'a>(name: &'a str, x: &'a [f64], y: &'a [f64], ink: Ink, mark: Mark) -> 
     Series { name, x, y, ink, mark }
 }
 
-/// PV with SP over OP with MV.
+/// PV with SP above OP with MV.
 fn trends(title: &str, record: &Record, tags: &Tags, width: u32) -> Result<Picture, PlotError> {
     let (t, op) = (times(record), record.op());
     let [op_unit, pv_unit] = &tags.units;
@@ -206,7 +206,7 @@ fn phase(
         Some(_) => (format!("valve by the model, {op_unit}"), Ink::Mv),
         None => (op_unit.clone(), Ink::Op),
     };
-    // Many turns over one another are a blot of ink.
+    // Many overlapping cycles would be a solid blot.
     let mark = if n > DENSE { Mark::Density } else { Mark::Thin };
     let series = vec![line("", x, y, ink, mark)];
     scatter(&Plane { title, size: [HALF, 340], x_label: &label, y_label: pv_unit, series })
@@ -244,7 +244,7 @@ fn phases(of: &Subject<'_>) -> Figures {
     Ok(out)
 }
 
-/// The corners of the (fs, fd) plane's parts, of a pair (s, j).
+/// fs and fd for a pair (s, j).
 fn bands(s: f64, j: f64) -> (f64, f64) {
     (0.5 * (s + j), 0.5 * (s - j))
 }
@@ -257,7 +257,7 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
     let span = detail.span;
     let over = |points: Vec<(f64, f64)>, mark| Overlay { name: "", points, mark, ink: Ink::Over };
     let mut overlays = vec![
-        // The triangle's far side, fs + fd = S0, and its upper one, fs = fd.
+        // The triangle's right side, fs + fd = S0, and its upper side, fs = fd.
         over(vec![(0.0, 0.0), (0.5 * span, 0.5 * span), (span, 0.0)], Mark::Thin),
         over(vec![bands(BOUNDS[0] * span, 0.0), bands(BOUNDS[0] * span, BOUNDS[0] * span)], Mark::Dashed),
     ];
@@ -362,7 +362,7 @@ fn draws(of: &Subject<'_>, detail: &Detail) -> Figures {
     Ok(out)
 }
 
-/// The least and the greatest of some values in words.
+/// Smallest and largest of some values, in words.
 fn extremes(values: &[f64]) -> String {
     match (values.iter().copied().reduce(f64::min), values.iter().copied().reduce(f64::max)) {
         (Some(least), Some(most)) => format!("{} to {}", number(least), number(most)),
@@ -376,7 +376,7 @@ fn orders(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
     let chosen = of.assessment.process.as_ref().map_or(0, |p| p.order);
     let mut rows = Vec::new();
     for (at, f) in chart.figures.iter().enumerate() {
-        // The errors that decided, not others of their kind.
+        // The errors that decided, not others of the same kind.
         let held_out = match choice {
             Some(choice) if choice.by != OrderBy::Asked => choice.held_out_rms.and_then(|both| both.get(at).copied()),
             _ => Some(f.held_out_rms),

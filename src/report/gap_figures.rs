@@ -1,4 +1,5 @@
-//! Pictures of a gap: simulation against plant before and after, and what is left by time, cycle, frequency and level.
+//! Pictures of a gap: simulation and measured PV before and after the cause is added, and the residual by time, cycle,
+//! frequency and level.
 
 use super::across::Across;
 use super::chart::{Bar, bars};
@@ -13,29 +14,29 @@ use stiction_engine::analysis::gap::Diagnosed;
 
 const WIDE: u32 = 1080;
 const HALF: u32 = 520;
-/// Dots in a cloud at most.
+/// Most dots in a scatter plot.
 const MAX_DOTS: usize = 700;
-/// Bins of the line through a cloud.
+/// Bins for the line through a scatter plot.
 const BINS: usize = 12;
-/// Effects that are drawn.
+/// Most effects drawn.
 const MAX_EFFECTS: usize = 10;
-/// Ends of the axis of closed per cent.
+/// Limits of the axis of the gap closed, %.
 const CLOSED: [f64; 2] = [-100.0, 100.0];
 
 type Made = Result<Figure, PlotError>;
 
-/// What the pictures are made of, point by point.
+/// Data of the pictures, point by point.
 struct Points<'a> {
     of: &'a Diagnosed,
     time_s: Vec<f64>,
-    /// Residuals of base and cause, NaN where they do not count.
+    /// Residuals of base and cause; NaN where they are not scored.
     before: Vec<f64>,
     after: Vec<f64>,
     /// Held-out stretches, s.
     held_out: Vec<[f64; 2]>,
-    /// Held-out points with a residual.
+    /// Indices of held-out points with a residual.
     tested: Vec<usize>,
-    /// Whether an effect was added.
+    /// Whether a cause was added.
     added: bool,
 }
 
@@ -71,13 +72,13 @@ impl<'a> Points<'a> {
         }
     }
 
-    /// Values at the tested points, few enough for a cloud.
+    /// Values at the tested points, thinned for a scatter plot.
     fn cloud(&self, x: &dyn Fn(usize) -> f64, y: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let step = self.tested.len().div_ceil(MAX_DOTS).max(1);
         self.tested.iter().step_by(step).map(|&k| (x(k), y[k])).unzip()
     }
 
-    /// Means of the tested points over equal bins of x: middles and means.
+    /// Means of the tested points in equal bins of x: bin centres and means.
     fn means(&self, x: &dyn Fn(usize) -> f64, y: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let places: Vec<f64> = self.tested.iter().map(|&k| x(k)).filter(|v| v.is_finite()).collect();
         let sorted = stats::sorted(&places);
@@ -94,10 +95,10 @@ impl<'a> Points<'a> {
     }
 }
 
-/// All pictures of one loop.
+/// Draws all pictures of one loop.
 ///
 /// # Errors
-/// [`PlotError`], where the drawing library refuses.
+/// [`PlotError`], if the drawing library fails.
 pub fn figures(of: &Diagnosed) -> Result<Vec<Figure>, PlotError> {
     let p = Points::of(of);
     let mut out = vec![runs(&p)?, residuals(&p)?];
@@ -197,7 +198,7 @@ fn since_slip(p: &Points<'_>) -> Made {
         let behind = slips.partition_point(|s| s.point <= k);
         behind.checked_sub(1).map_or(f64::NAN, |i| (k - slips[i].point) as f64 * ts)
     };
-    // Signed by the slip's direction, so that what every slip leaves adds up.
+    // Multiplied by the sign of the slip, so that the residuals after every slip add up.
     let turned = |y: &[f64]| -> Vec<f64> {
         let sign = |k: usize| {
             let behind = slips.partition_point(|s| s.point <= k);
@@ -275,8 +276,7 @@ fn frequency(of: &Diagnosed) -> Made {
     Ok(Figure { picture, caption, wide: false })
 }
 
-/// Effects by how much of the gap they close.
-/// What PV is made of, a bar for each part of its variance.
+/// Shares of PV's variance, one bar each.
 fn made_of(of: &Diagnosed) -> Result<Option<Figure>, PlotError> {
     let Some(budget) = text::budget(&of.document) else { return Ok(None) };
     let notes: Vec<String> = budget.parts.iter().map(|part| format!("{:.1} %", part.share_pct)).collect();
@@ -298,7 +298,7 @@ fn ranked(of: &Diagnosed) -> Result<Option<Figure>, PlotError> {
     if drawn.is_empty() {
         return Ok(None);
     }
-    // Adding zero takes the sign off what rounds to nothing.
+    // Adding zero turns -0 into 0.
     let rounded = |x: f64, digits: f64| (x * digits).round() / digits + 0.0;
     let note = |e: &&EffectNote| {
         let closed = rounded(e.closed_pct.unwrap_or(0.0), 1.0);

@@ -1,4 +1,4 @@
-//! The report on a gap as one HTML file, readable without scripts and without a network.
+//! The report on a gap as one HTML file that needs neither scripts nor a network.
 
 use maud::{Markup, html};
 
@@ -9,23 +9,23 @@ use stiction::core::gap::text::{self, BudgetText};
 use stiction::core::units::{from_to, number, probability};
 use stiction_engine::analysis::gap::Diagnosed;
 
-/// Everything that the report shows.
+/// Content of the report.
 #[derive(Debug, Clone)]
 pub struct GapReport {
-    /// The file that was read, as it was given.
+    /// The input file as given.
     pub input: String,
-    /// The command that makes the report again.
+    /// The command that reproduces the report.
     pub command: String,
-    /// What went wrong on the way.
+    /// Warnings from the analysis.
     pub warnings: Vec<String>,
-    /// The loops in the file's order.
+    /// The loops in the order of the file.
     pub loops: Vec<Diagnosed>,
 }
 
-/// The whole page.
+/// Renders the page.
 ///
 /// # Errors
-/// [`PlotError`], where a picture cannot be drawn.
+/// [`PlotError`], if a picture cannot be drawn.
 pub fn gap_page(report: &GapReport) -> Result<String, PlotError> {
     let single = report.loops.len() == 1;
     let mut sections = Vec::with_capacity(report.loops.len());
@@ -147,7 +147,7 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
     })
 }
 
-/// PV's variance part by part, and what limits that.
+/// Shares of PV's variance, and their limits.
 fn made_of(budget: &BudgetText, tellable: &[String]) -> Markup {
     html! {
         section.card {

@@ -1,4 +1,4 @@
-//! Groups of loops that share one oscillation, as cards of a page.
+//! Cards of a page for groups of loops that share one oscillation.
 
 use maud::{Markup, html};
 
@@ -7,7 +7,7 @@ use stiction::core::plantwide::{GroupDocument, headline, of_member};
 use stiction::core::units::{duration, number, probability};
 use stiction::core::verdict::words::capital;
 
-/// A card per group; one that says so where the loops were compared and share none.
+/// A card for each group; a single card if loops were compared but share no oscillation.
 pub(super) fn cards(report: &Report) -> Markup {
     let Some(groups) = &report.groups else { return html! {} };
     html! {

@@ -1,13 +1,13 @@
-//! Colours by what they stand for, the same in every picture, and their second set for dark screens.
+//! Colours by meaning, the same in every picture, with a second set for dark screens.
 //!
-//! A picture carries the light colours, so it prints and stands alone; a page's style sheet swaps them by attribute
-//! where the reader's screen is dark.
+//! A picture contains the light colours, so that it can be printed or used separately; a page's style sheet replaces them by
+//! attribute on dark screens.
 
 use std::fmt::Write;
 
 use plotters::style::RGBColor;
 
-/// What a colour stands for.
+/// Meaning of a colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ink {
     /// Text and axes.
@@ -20,23 +20,23 @@ pub enum Ink {
     Paper,
     /// Controller output.
     Op,
-    /// Process variable as measured.
+    /// Measured process variable.
     Pv,
     /// Set point.
     Sp,
     /// Valve position, measured or fitted.
     Mv,
-    /// What a model says.
+    /// Output of a model.
     Fit,
-    /// What a model leaves, and alarms.
+    /// Residual of a model, and alarms.
     Error,
-    /// A second model, or what came before.
+    /// A second model, or the earlier state.
     Other,
     /// Lines over a colour map.
     Over,
 }
 
-/// Every ink: its CSS variable, light and dark colour.
+/// Every ink: CSS variable, light and dark colour.
 const TABLE: [(Ink, &str, [u8; 3], [u8; 3]); 12] = [
     (Ink::Text, "--text", [0x1b, 0x24, 0x30], [0xe6, 0xea, 0xf0]),
     (Ink::Soft, "--soft", [0x55, 0x60, 0x6e], [0xa3, 0xae, 0xbc]),
@@ -57,14 +57,14 @@ impl Ink {
         TABLE.iter().find(|row| row.0 == self).unwrap_or(&TABLE[0])
     }
 
-    /// The light colour, as pictures carry it.
+    /// The light colour, as used in pictures.
     #[must_use]
     pub fn colour(self) -> RGBColor {
         let [r, g, b] = self.row().2;
         RGBColor(r, g, b)
     }
 
-    /// The light colour as SVG writes it.
+    /// The light colour in SVG notation.
     #[must_use]
     pub fn hex(self) -> String {
         hex(self.row().2)
@@ -75,7 +75,7 @@ fn hex([r, g, b]: [u8; 3]) -> String {
     format!("#{r:02X}{g:02X}{b:02X}")
 }
 
-/// The style sheet that pictures need on a page or in a sheet: the dark set where the screen is dark, never on paper.
+/// Style sheet for pictures on a page or sheet: the dark set on dark screens, never in print.
 #[must_use]
 pub fn style() -> String {
     let (mut light, mut dark, mut swap) = (String::new(), String::new(), String::new());

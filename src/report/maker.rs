@@ -1,4 +1,4 @@
-//! A report in the making: gathers what was analysed, then computes the detailed pictures.
+//! Builds a report: collects the analysed loops, then computes the detailed pictures.
 
 use super::detail::Detail;
 use super::diagram::Tags;
@@ -14,39 +14,39 @@ use stiction_files::About;
 pub struct Analysed {
     /// The record that was analysed.
     pub record: Record,
-    /// The section as recorded, where the analysed one was downsampled.
+    /// The section as recorded, if the analysed one was downsampled.
     pub original: Option<Record>,
-    /// What the file says of the loop.
+    /// The file's description of the loop.
     pub about: Option<About>,
-    /// Units of OP and PV, where the file says them.
+    /// Units of OP and PV, if the file has them.
     pub units: [Option<String>; 2],
-    /// What the fit was told.
+    /// Parameters of the fit.
     pub params: AssessParams,
-    /// What a reader of the data should know, one line each.
+    /// Notes on the data, one line each.
     pub notes: Vec<String>,
 }
 
-/// A report in the making.
+/// A report being built.
 #[derive(Debug, Default)]
 pub struct Maker {
     all: bool,
     units: [Option<String>; 2],
-    /// What went wrong on the way.
+    /// Warnings from the analysis.
     pub warnings: Vec<String>,
-    /// The groups that were found, where the loops were compared.
+    /// The groups found, if the loops were compared.
     pub groups: Option<Vec<GroupDocument>>,
     loops: Vec<(LoopReport, AssessParams)>,
 }
 
 impl Maker {
-    /// A report without loops. `all` draws every loop in full, not only the most urgent; `units` of OP and PV go before
-    /// the file's.
+    /// A report without loops. `all` draws every loop in full, not only the most urgent ones; `units` of OP and PV override the
+    /// file's.
     #[must_use]
     pub fn new(all: bool, units: [Option<String>; 2]) -> Self {
         Self { all, units, ..Self::default() }
     }
 
-    /// Adds what was made of one loop or section.
+    /// Adds one loop or section.
     pub fn add(&mut self, document: EstimateDocument, of: Analysed) {
         let Analysed { record, original, about, units, params, notes } = of;
         let mut tags = Tags::of_loop(&document.loop_name, record.sp.is_some(), record.mv.is_some());
@@ -64,8 +64,8 @@ impl Maker {
         self.loops.push((one, params));
     }
 
-    /// Computes the detailed pictures on all cores. `input` and `command` are what the page says of its origin. Where
-    /// `watch` ends it early, loops lack theirs and are shown in short.
+    /// Computes the detailed pictures on all cores. `input` and `command` are shown on the page. If `watch` ends it early, the
+    /// remaining loops are shown briefly.
     pub fn finish(self, input: String, command: String, watch: &dyn Watch) -> Report {
         let (loops, params): (Vec<LoopReport>, Vec<AssessParams>) = self.loops.into_iter().unzip();
         let mut report = Report { input, command, warnings: self.warnings, loops, groups: self.groups };
@@ -82,7 +82,7 @@ impl Maker {
             watch.reached(details.len() as u64, chosen.len() as u64, "pictures");
             Ok::<(), std::convert::Infallible>(())
         };
-        // Keeping cannot fail.
+        // Infallible: keeping a result cannot fail.
         let Ok(()) = in_order(&chosen, &|| watch.go_on(), work, keep);
         for (k, detail) in details {
             report.loops[k].detail = detail;

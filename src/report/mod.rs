@@ -1,8 +1,9 @@
-//! Pictures and pages: what an estimate says, for people.
+//! Pictures and pages that present an estimate to people.
 //!
-//! [`plot`] and [`chart`] turn data into SVG and know nothing of valves; [`ink`] says which colour stands for what.
-//! [`detail`] computes what a loop's pictures need, [`figures`] draws them, [`words`] puts the numbers into sentences.
-//! [`maker`] gathers what was analysed, [`command`] says how it was made; `groups` shows groups of loops; [`page`] is the HTML file, [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
+//! [`plot`] and [`chart`] turn data into SVG and do not depend on valves; [`ink`] assigns colours to meanings. [`detail`]
+//! computes the data of a loop's pictures, [`figures`] draws them, [`words`] puts numbers into sentences. [`maker`] collects
+//! the analysed loops, [`command`] quotes the command line, `groups` shows groups of loops; [`page`] is the HTML file,
+//! [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
 
 pub mod across;
 pub mod chart;
@@ -29,47 +30,47 @@ use stiction::core::plantwide::GroupDocument;
 use stiction::core::record::Record;
 use stiction::core::verdict::{Assessment, EstimateDocument};
 
-/// Loops that are drawn in full unless all are asked for.
+/// Loops drawn in full by default.
 pub const IN_FULL: usize = 12;
 
 /// One loop's part of a report.
 #[derive(Debug, Clone)]
 pub struct LoopReport {
-    /// What was found.
+    /// The estimate.
     pub document: EstimateDocument,
     /// The record that was analysed.
     pub record: Record,
-    /// The section as recorded, where the analysed one was downsampled.
+    /// The section as recorded, if the analysed one was downsampled.
     pub original: Option<Record>,
     /// Names of its signals.
     pub tags: Tags,
-    /// What the file says about the loop.
+    /// The file's description of the loop.
     pub comment: Option<String>,
-    /// What a reader of its data should know: samples that were skipped, gaps, repeated stamps.
+    /// Notes on its data: skipped samples, gaps, repeated stamps.
     pub notes: Vec<String>,
-    /// Whether its pictures are drawn in full even where nothing was fitted.
+    /// Whether its pictures are drawn in full even if nothing was fitted.
     pub full: bool,
-    /// What its detailed pictures show; `None` where it is shown in short or nothing was fitted.
+    /// Data for its detailed pictures; `None` if it is shown briefly or nothing was fitted.
     pub detail: Option<Detail>,
 }
 
-/// Everything that a report shows.
+/// Content of a report.
 #[derive(Debug, Clone)]
 pub struct Report {
-    /// The file that was read, as it was given.
+    /// The input file as given.
     pub input: String,
     /// The exact command.
     pub command: String,
-    /// What went wrong on the way.
+    /// Warnings from the analysis.
     pub warnings: Vec<String>,
-    /// The loops in the file's order.
+    /// The loops in the order of the file.
     pub loops: Vec<LoopReport>,
-    /// The groups of loops that share one oscillation; `None` where the loops were not compared.
+    /// The groups of loops that share one oscillation; `None` if the loops were not compared.
     pub groups: Option<Vec<GroupDocument>>,
 }
 
 impl Report {
-    /// The loops' places, those that most likely stick first, then those that stick most; the file's order else.
+    /// Indices of the loops by probability of stiction, then by size, largest first; otherwise in the order of the file.
     #[must_use]
     pub fn by_urgency(&self) -> Vec<usize> {
         let assessments: Vec<&Assessment> = self.loops.iter().map(|l| &l.document.assessment).collect();
@@ -77,11 +78,11 @@ impl Report {
     }
 }
 
-/// Places of assessments, those that most likely stick first, then those that stick most; the given order else.
+/// Indices of assessments by probability of stiction, then by size, largest first; otherwise in the given order.
 #[must_use]
 pub fn by_urgency(all: &[&Assessment]) -> Vec<usize> {
     let key = |a: &Assessment| {
-        // Probabilities that read alike are alike.
+        // Probabilities with the same displayed value count as equal.
         let p = a.p_stiction.map_or(-1.0, |p| (100.0 * p).round());
         (p, a.s.unwrap_or(-1.0))
     };

@@ -1,7 +1,7 @@
-//! The report as one HTML file: readable without scripts and without a network.
+//! The report as one HTML file that needs neither scripts nor a network.
 //!
-//! Names come from outside; every value goes through `maud`, which escapes it. The style sheet and the script stand
-//! beside this file and know nothing of the data.
+//! Names come from outside; every value goes through `maud`, which escapes it. The style sheet and the script are separate
+//! files next to this one and do not depend on the data.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::Value;
@@ -14,10 +14,10 @@ use stiction::core::units::{duration, from_to, number};
 use stiction::core::verdict::answer::Answer;
 use stiction::core::verdict::{Assessment, Verdict, texts, words};
 
-/// The whole page.
+/// Renders the page.
 ///
 /// # Errors
-/// [`PlotError`], where a picture cannot be drawn.
+/// [`PlotError`], if a picture cannot be drawn.
 pub fn page(report: &Report) -> Result<String, PlotError> {
     let order = report.by_urgency();
     let single = report.loops.len() == 1;
@@ -41,7 +41,7 @@ pub fn page(report: &Report) -> Result<String, PlotError> {
     Ok(whole(&title, [&report.input, &report.command], &body, remark))
 }
 
-/// A page around `body`: head, styles, script, and at its foot how it was made (`[input, command]` and a remark).
+/// A page around `body`: head, styles, script, and a footer with its origin (`[input, command]` and a remark).
 pub(super) fn whole(title: &str, [input, command]: [&str; 2], body: &Markup, remark: &str) -> String {
     html! {
         (DOCTYPE)
@@ -80,7 +80,7 @@ pub(super) fn whole(title: &str, [input, command]: [&str; 2], body: &Markup, rem
     .into_string()
 }
 
-/// The table of all loops, those that most likely stick and stick most first.
+/// The table of all loops, by probability of stiction and size, largest first.
 fn overview(report: &Report, order: &[usize]) -> Markup {
     let count = |wanted: Option<bool>| report.loops.iter().filter(|l| l.document.assessment.stiction == wanted).count();
     html! {
@@ -121,7 +121,7 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
     }
 }
 
-/// What stands where there is nothing.
+/// Placeholder for an absent value.
 const NONE: &str = "\u{2013}";
 
 pub(super) fn optional(value: Option<f64>) -> String {
@@ -133,7 +133,7 @@ fn badge(v: Verdict) -> Markup {
     html! { span class=(class) { (texts::of(v).short) } }
 }
 
-/// One loop, collapsible; open where it is the only one.
+/// One loop, collapsible; open if it is the only one.
 fn section(one: &LoopReport, k: usize, open: bool) -> Result<Markup, PlotError> {
     let a = &one.document.assessment;
     let subject = Subject {
@@ -174,7 +174,7 @@ pub(super) fn picture(figure: &Figure) -> Markup {
     }
 }
 
-/// What a planner needs.
+/// The facts for a planner.
 fn summary(one: &LoopReport, a: &Assessment) -> Markup {
     let w = &a.window;
     let evidence = words::evidence(a);
@@ -213,7 +213,7 @@ fn summary(one: &LoopReport, a: &Assessment) -> Markup {
     }
 }
 
-/// The whole document as a table, absent numbers too.
+/// The whole document as a table, including absent numbers.
 fn numbers(one: &LoopReport) -> Markup {
     let document = serde_json::to_value(&one.document).unwrap_or(Value::Null);
     let mut rows = Vec::new();
@@ -225,7 +225,7 @@ fn numbers(one: &LoopReport) -> Markup {
     }
 }
 
-/// Leaves of a document with their paths; lists of numbers stay together.
+/// Leaves of a document with their paths; lists of numbers are one leaf.
 pub(super) fn flatten(path: &str, value: &Value, out: &mut Vec<(String, String)>) {
     let below = |name: &str| if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") };
     match value {

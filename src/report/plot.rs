@@ -1,8 +1,8 @@
-//! Pictures: data in, SVG out. Every picture here knows nothing of valves.
+//! Pictures as SVG, from data alone: nothing here depends on valves.
 //!
-//! [`trend`] stacks panels over one axis, [`scatter`] draws curves and points over a plane; [`super::chart`] has
-//! histograms, heat maps and bars. A [`Picture`] is readable without scripts; a page's script finds the axes' scales in
-//! `data-axes` and shows values under the pointer.
+//! [`trend`] stacks panels over one axis, [`scatter`] draws curves and points over a plane; [`super::chart`] has histograms,
+//! heat maps and bars. A [`Picture`] is readable without scripts; a page's script finds the axes' scales in `data-axes` and
+//! shows the values under the pointer.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -23,7 +23,7 @@ use super::ink::Ink;
 pub struct PlotError {
     /// Its title.
     pub what: String,
-    /// What the drawing library says.
+    /// The drawing library's error.
     pub why: String,
 }
 
@@ -32,29 +32,29 @@ pub struct PlotError {
 pub struct Picture {
     /// Width on a desktop page, CSS pixels.
     pub width: u32,
-    /// Height that goes with it.
+    /// Height at that width.
     pub height: u32,
-    /// What it shows, for readers that cannot see it.
+    /// Its title, also for readers that cannot see it.
     pub title: String,
-    /// Scales of the axes, one group a panel, as the page's script reads them: empty for pictures without axes.
+    /// Scales of the axes, one group for each panel, in the form read by the page's script; empty for pictures without axes.
     axes: String,
-    /// Values over a plane and their name, as the page's script reads them: empty for pictures without.
+    /// Values over a plane and their names, in the form read by the page's script; empty for other pictures.
     cells: String,
     /// Elements, in units of 1 / [`FINE`] pixel.
     body: String,
 }
 
-/// Drawing units in a pixel: the drawing library knows whole units only.
+/// Drawing units in a pixel: the drawing library has integer coordinates only.
 pub const FINE: u32 = 2;
 /// Size of text, drawing units.
 const TEXT: u32 = 13 * FINE;
-/// Width of a stroke that stands for dashes until [`tidied`]: the drawing library has none that survive bends.
+/// Stroke width that marks dashed lines until [`tidied`]: the library has no dashes that continue around bends.
 const DASHED: u32 = 1_001;
-/// Mean width of a letter over the size of the text.
+/// Mean width of a letter, relative to the text size.
 const LETTER: f64 = 0.56;
 
 impl Picture {
-    /// A picture of elements that stand in units of 1 / [`FINE`] pixel.
+    /// A picture from elements in units of 1 / [`FINE`] pixel.
     #[must_use]
     pub const fn new(width: u32, height: u32, title: String, body: String) -> Self {
         Self { width, height, title, axes: String::new(), cells: String::new(), body }
@@ -66,14 +66,13 @@ impl Picture {
         self.element(&format!("width=\"{}\" height=\"{}\"", self.width, self.height))
     }
 
-    /// The SVG element at a place inside another one, in pixels.
+    /// The SVG element at a position inside another one, pixels.
     #[must_use]
     pub fn at(&self, x: u32, y: u32) -> String {
         self.element(&format!("x=\"{x}\" y=\"{y}\" width=\"{}\" height=\"{}\"", self.width, self.height))
     }
 
-    /// Notes values over a plane for the page's script: the names of both axes and of the value, then groups of three
-    /// numbers.
+    /// Stores values over a plane for the page's script: the names of both axes and of the value, then groups of three numbers.
     pub(super) fn note_cells(&mut self, cells: &[[f64; 3]], names: [&str; 3]) {
         let name = maud::html! { (names.map(|name| name.replace([';', '|'], ",")).join("|")) }.into_string();
         let known = cells.iter().filter(|c| c.iter().all(|v| v.is_finite()));
@@ -104,7 +103,7 @@ impl maud::Render for Picture {
 pub enum Mark {
     /// A line.
     Line,
-    /// A thin line, for what stands behind others.
+    /// A thin line, for things behind others.
     Thin,
     /// A dashed line.
     Dashed,
@@ -112,20 +111,20 @@ pub enum Mark {
     Steps,
     /// A dot at each point.
     Dots,
-    /// How many points lie in each small square, where lines over one another would be a blot.
+    /// The density of points in small squares, where overlapping lines would be a solid blot.
     Density,
     /// A larger ring at each point.
     Rings,
 }
 
-/// One series. A value that is not finite leaves a hole.
+/// One series. A value that is not finite interrupts it.
 #[derive(Debug, Clone)]
 pub struct Series<'a> {
     /// Its name in the legend; empty leaves it out.
     pub name: &'a str,
-    /// Places on the horizontal axis.
+    /// Positions on the horizontal axis.
     pub x: &'a [f64],
-    /// Values, as many.
+    /// Values, one for each position.
     pub y: &'a [f64],
     /// Colour.
     pub ink: Ink,
@@ -136,20 +135,20 @@ pub struct Series<'a> {
 /// One panel of a [`trend`].
 #[derive(Debug, Clone)]
 pub struct Panel<'a> {
-    /// What its vertical axis shows, with the unit.
+    /// Label of its vertical axis, with the unit.
     pub y_label: &'a str,
-    /// Drawn in this order.
+    /// Series in drawing order.
     pub series: Vec<Series<'a>>,
     /// Height, pixels, without the axis below.
     pub height: u32,
-    /// Stretches of the horizontal axis to be shaded.
+    /// Ranges of the horizontal axis to shade.
     pub shaded: &'a [[f64; 2]],
 }
 
-/// Panels over one another with one horizontal axis. Curves are thinned to the extremes of each pixel column.
+/// Draws panels above each other with a common horizontal axis. Curves are thinned to the extremes of each pixel column.
 ///
 /// # Errors
-/// [`PlotError`], where the drawing library refuses.
+/// [`PlotError`], if the drawing library fails.
 pub fn trend(title: &str, width: u32, across: &Across, panels: &[Panel<'_>]) -> Result<Picture, PlotError> {
     let x = range(panels.iter().flat_map(|p| &p.series).flat_map(|s| s.x.iter().copied()), 0.0);
     let legends: Vec<Vec<Vec<Entry<'_>>>> = panels.iter().map(|p| legend(p.y_label, &p.series, width)).collect();
@@ -190,14 +189,14 @@ pub struct Plane<'a> {
     pub x_label: &'a str,
     /// Vertical axis, with the unit.
     pub y_label: &'a str,
-    /// Drawn in this order.
+    /// Series in drawing order.
     pub series: Vec<Series<'a>>,
 }
 
-/// Curves and points over a plane (phase plots, errors against level).
+/// Draws curves and points over a plane (phase plots, errors by level).
 ///
 /// # Errors
-/// [`PlotError`], where the drawing library refuses.
+/// [`PlotError`], if the drawing library fails.
 pub fn scatter(plane: &Plane<'_>) -> Result<Picture, PlotError> {
     let x = range(plane.series.iter().flat_map(|s| s.x.iter().copied()), 0.04);
     let y = range(plane.series.iter().flat_map(|s| s.y.iter().copied()), 0.04);
@@ -218,13 +217,13 @@ pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(super) type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Ticked, RangedCoordf64>>;
 pub(super) type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
-/// Height of a legend's row, of the labels below an axis, and width of those beside one, pixels.
+/// Height of a legend's row and of the labels below an axis, and width of the labels beside an axis, pixels.
 pub(super) const LEGEND: u32 = 18;
 pub(super) const X_LABELS: u32 = 38;
 const Y_LABELS: u32 = 50;
 const RIGHT: u32 = 14;
 
-/// Runs a drawing and takes its elements out of the library's document.
+/// Runs a drawing and extracts its elements from the library's document.
 pub(super) fn draw(
     title: &str,
     width: u32,
@@ -243,7 +242,7 @@ pub(super) fn draw(
     Ok(Picture { width, height, title: title.to_owned(), axes, cells: String::new(), body })
 }
 
-/// The library's elements with dashes and less air: texts on one line, no opacity of 1.
+/// The library's elements with dashes, and more compact: texts on one line, no opacity of 1.
 fn tidied(body: &str) -> String {
     let dashes = format!("stroke-width=\"{}\" stroke-dasharray=\"{} {}\"", 2 * FINE, 5 * FINE, 4 * FINE);
     let body = body.replace(&format!("stroke-width=\"{DASHED}\""), &dashes);
@@ -253,7 +252,7 @@ fn tidied(body: &str) -> String {
         .replace("\n</", "</")
 }
 
-/// The smallest range around all finite values, wider by `margin` of itself to either side; never empty.
+/// The smallest range that contains all finite values, extended by `margin` of its width on both sides; never empty.
 pub(super) fn range(values: impl Iterator<Item = f64>, margin: f64) -> [f64; 2] {
     let [low, high] = values
         .filter(|v| v.is_finite())
@@ -266,17 +265,17 @@ pub(super) fn range(values: impl Iterator<Item = f64>, margin: f64) -> [f64; 2] 
     [low - pad, high + pad]
 }
 
-/// Text of a size in drawing units.
+/// Text style of this size, drawing units.
 pub(super) fn written(size: u32, ink: Ink) -> TextStyle<'static> {
     TextStyle { color: ink.colour().to_backend_color(), ..TextStyle::from(("sans-serif", size)) }
 }
 
-/// Text that hangs on a place by one of its corners or sides.
+/// Text style anchored at a corner or side.
 pub(super) fn words(ink: Ink, across: HPos, down: VPos) -> TextStyle<'static> {
     written(TEXT, ink).pos(Pos::new(across, down))
 }
 
-/// Axes, ticks and grid below a legend of `top` pixels. Without `x_label` the horizontal axis carries no numbers.
+/// Draws axes, ticks and grid below a legend of `top` pixels. Without `x_label` the horizontal axis has no numbers.
 pub(super) fn frame<'a>(
     area: &Area<'a>,
     top: u32,
@@ -312,7 +311,7 @@ pub(super) fn frame<'a>(
     Ok(chart)
 }
 
-/// Notes a panel's scales for the page's script: pixels left, right, top, bottom, then the values there.
+/// Stores a panel's scales for the page's script: pixels left, right, top, bottom, then the values there.
 pub(super) fn note_axes(axes: &mut String, chart: &Chart<'_>) {
     let area = chart.plotting_area();
     let (across, down) = area.get_pixel_range();
@@ -324,7 +323,7 @@ pub(super) fn note_axes(axes: &mut String, chart: &Chart<'_>) {
     );
 }
 
-/// One series as elements.
+/// Draws one series.
 pub(super) fn curve(chart: &mut Chart<'_>, series: &Series<'_>, thin: bool) -> Drawn {
     let colour = series.ink.colour();
     let (across, _) = chart.plotting_area().get_pixel_range();
@@ -367,12 +366,12 @@ pub(super) fn curve(chart: &mut Chart<'_>, series: &Series<'_>, thin: bool) -> D
     Ok(())
 }
 
-/// Side of a square of [`Mark::Density`], drawing units, and the ink of one that holds a single point.
+/// Side of a [`Mark::Density`] square, drawing units, and the opacity of one with a single point.
 const SQUARE: i32 = 4 * FINE as i32;
 const LEAST_INK: f64 = 0.15;
 
-/// The squares of a plane, so many across and up, that hold points: two corners, and the logarithm of how many over that of
-/// the fullest.
+/// The squares of a plane, in a grid of `cells`, that contain points: two corners, and the logarithm of the count relative to
+/// that of the fullest square.
 fn squares(points: &[(f64, f64)], plane: [[f64; 2]; 2], cells: [usize; 2]) -> Vec<([(f64, f64); 2], f64)> {
     let side = |k: usize| (plane[k][1] - plane[k][0]) / cells[k] as f64;
     let place = |value: f64, k: usize| (((value - plane[k][0]) / side(k)) as usize).min(cells[k] - 1);
@@ -389,7 +388,7 @@ fn squares(points: &[(f64, f64)], plane: [[f64; 2]; 2], cells: [usize; 2]) -> Ve
     counts.into_iter().map(|(cell, n)| ([corner(cell), corner(cell.map(|i| i + 1))], log(n) / most)).collect()
 }
 
-/// Stretches of finite values.
+/// Runs of finite values.
 fn runs(series: &Series<'_>) -> Vec<Vec<(f64, f64)>> {
     let mut out: Vec<Vec<(f64, f64)>> = Vec::new();
     let mut open = false;
@@ -407,8 +406,8 @@ fn runs(series: &Series<'_>) -> Vec<Vec<(f64, f64)>> {
     out
 }
 
-/// At most four points for each of `columns` columns of the range: the first, the extremes and the last, in order. What
-/// the eye sees stays: extremes are kept, not averaged.
+/// At most four points for each of `columns` columns of the range: first, minimum, maximum and last, in order. The visible
+/// shape is preserved, since extremes are kept, not averaged.
 #[must_use]
 pub fn thinned(points: &[(f64, f64)], x: [f64; 2], columns: usize) -> Vec<(f64, f64)> {
     if points.len() <= columns.saturating_mul(4) || x[1] <= x[0] {
@@ -433,15 +432,15 @@ pub fn thinned(points: &[(f64, f64)], x: [f64; 2], columns: usize) -> Vec<(f64, 
     out
 }
 
-/// A word of a legend and its colour; the first one names the axis.
+/// An entry of a legend; the first one names the axis.
 pub(super) struct Entry<'a> {
     text: std::borrow::Cow<'a, str>,
-    /// Place of its left end, pixels.
+    /// Position of its left end, pixels.
     x: f64,
     mark: Option<(Ink, Mark)>,
 }
 
-/// A text no longer than `letters`, its middle cut out where it is.
+/// A text of at most `letters`, with its middle cut out if necessary.
 #[must_use]
 pub fn shortened(text: &str, letters: usize) -> std::borrow::Cow<'_, str> {
     let count = text.chars().count();
@@ -454,13 +453,13 @@ pub fn shortened(text: &str, letters: usize) -> std::borrow::Cow<'_, str> {
     format!("{head}\u{2026}{tail}").into()
 }
 
-/// Width of a text, pixels, as near as letters of mean width tell.
+/// Estimated width of a text, pixels, from the mean width of a letter.
 #[must_use]
 pub fn text_width(text: &str) -> f64 {
     text.chars().count() as f64 * LETTER * f64::from(TEXT / FINE)
 }
 
-/// Rows of a legend: the axis' name, then every series that has one.
+/// Rows of a legend: the axis' name, then every named series.
 pub(super) fn legend<'a>(y_label: &'a str, series: &[Series<'a>], width: u32) -> Vec<Vec<Entry<'a>>> {
     const SWATCH: f64 = 22.0;
     const AIR: f64 = 14.0;
@@ -566,7 +565,7 @@ mod tests {
         let series: Vec<Series<'_>> =
             (0..3).map(|_| Series { name: &long, x: &[], y: &[], ink: Ink::Op, mark: Mark::Line }).collect();
         let rows = legend("y", &series, 400);
-        // The first one still fits beside the axis' name.
+        // The first one still fits next to the axis' name.
         assert_eq!(rows.iter().map(Vec::len).collect::<Vec<_>>(), [2, 1, 1]);
         let end = |e: &Entry<'_>| e.x + text_width(&e.text) + if e.mark.is_some() { 22.0 } else { 0.0 };
         assert!(rows.iter().flatten().all(|e| end(e) <= 400.0));

@@ -1,4 +1,4 @@
-//! The pictures alone, as one SVG file.
+//! All pictures in one SVG file.
 
 use std::fmt::Write;
 
@@ -12,14 +12,14 @@ use stiction::core::verdict::words;
 
 const WIDTH: u32 = 1120;
 const GAP: u32 = 20;
-/// Height of a loop's heading and of a picture's.
+/// Height of a loop's heading and of a picture's title.
 const HEADING: u32 = 40;
 const TITLE: u32 = 22;
 
-/// All loops' pictures under one another, two small ones side by side.
+/// Draws all loops' pictures below each other, small ones in pairs.
 ///
 /// # Errors
-/// [`PlotError`], where a picture cannot be drawn.
+/// [`PlotError`], if a picture cannot be drawn.
 pub fn sheet(report: &Report) -> Result<String, PlotError> {
     let (mut body, mut y) = (String::new(), GAP);
     for &k in &report.by_urgency() {

@@ -1,4 +1,4 @@
-//! The report on documents made by hand: escaping, order, what stands alone.
+//! The report for hand-made documents: escaping, order, and self-contained files.
 
 use super::*;
 use stiction::core::verdict::{Oscillation, Verdict, Window};
@@ -33,7 +33,7 @@ fn names_from_outside_are_text_everywhere() {
     let evil = "<script>alert('1')</script>\" onload=\"x";
     for report in [report(&[evil]), report(&[evil, "other"])] {
         let html = page(&report).unwrap();
-        // The page has one script of its own.
+        // The page contains only its own script.
         assert_eq!(html.matches("<script").count(), 1);
         assert!(html.contains("&lt;script&gt;alert") && !html.contains("\" onload=\"x"));
         let svg = sheet(&report).unwrap();

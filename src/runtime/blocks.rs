@@ -1,23 +1,23 @@
-//! A queue between two threads whose memory is used again: items gather in blocks, and the other end takes a block at a
-//! time. So neither end asks for memory item by item, and the lock is held briefly and by the receiver seldom. It has no limit
-//! of its own: whoever fills it holds a [`super::queue::Budget`].
+//! A queue between two threads that reuses its memory. Items are collected in blocks, and the receiver takes a block at a time,
+//! so neither end allocates for each item, and the lock is held briefly and seldom by the receiver. The queue is unbounded: the
+//! sender limits it by a [`super::queue::Budget`].
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Items of a block.
+/// Items in a block.
 const BLOCK: usize = 256;
-/// Empty blocks that lie ready at most; more than wait for a receiver that keeps up.
+/// Most empty blocks kept: more than wait for a receiver that keeps up.
 const SPARE: usize = 64;
 
 struct State<T> {
     full: VecDeque<VecDeque<T>>,
     spare: Vec<VecDeque<T>>,
-    /// Whether the receiver waits to be woken.
+    /// Whether the receiver sleeps and must be woken.
     sleeps: bool,
-    /// Nothing comes any more; nobody takes any more.
+    /// Set when the sender is dropped, and when the receiver is.
     ended: bool,
     left: bool,
 }
@@ -34,24 +34,24 @@ impl<T> Shared<T> {
     }
 }
 
-/// The end that items are put into; dropped, it ends the queue.
+/// The sending end; dropping it ends the queue.
 pub struct BlockSender<T>(Arc<Shared<T>>);
 
-/// The end that they are taken from, in their order.
+/// The receiving end, which takes items in order.
 pub struct BlockReceiver<T> {
     shared: Arc<Shared<T>>,
-    /// The block that is being taken.
+    /// The block being taken.
     open: VecDeque<T>,
 }
 
-/// What the receiver found.
+/// Result of an attempt to take an item.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Received<T> {
     /// The next item.
     Item(T),
-    /// None within the time.
+    /// No item came in time.
     Nothing,
-    /// None, and none will come.
+    /// There is no item, and none will come.
     End,
 }
 
@@ -64,10 +64,10 @@ pub fn queue<T>() -> (BlockSender<T>, BlockReceiver<T>) {
 }
 
 impl<T> BlockSender<T> {
-    /// Puts an item at the end.
+    /// Appends an item.
     ///
     /// # Errors
-    /// The item, where nobody takes any more.
+    /// The item, if the receiver is gone.
     pub fn put(&self, item: T) -> Result<(), T> {
         let mut state = self.0.lock();
         if state.left {
@@ -89,7 +89,7 @@ impl<T> BlockSender<T> {
         Ok(())
     }
 
-    /// Items that wait.
+    /// Number of waiting items.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.0.waiting.load(Ordering::Relaxed)
@@ -104,7 +104,7 @@ impl<T> Drop for BlockSender<T> {
 }
 
 impl<T> BlockReceiver<T> {
-    /// The next item, waiting for it so long.
+    /// The next item, waiting up to `wait` for it.
     pub fn take_within(&mut self, wait: Duration) -> Received<T> {
         if self.open.is_empty() {
             let until = Instant::now() + wait;

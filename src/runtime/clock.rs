@@ -1,18 +1,18 @@
-//! The clocks of the shell: one that only goes forward for timers, and the wall clock for arrival stamps and data age;
-//! nothing that is computed depends on either. In a test both may stand still and be moved by hand.
+//! The clocks of the program: a monotonic one for timers, and the wall clock for arrival stamps and the age of data. No
+//! computed result depends on either. In tests both may be set by hand.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// Nanoseconds since 1970, now.
+/// The current time, ns since 1970.
 #[must_use]
 #[allow(clippy::disallowed_methods)] // the one place that asks the wall clock
 pub fn now_ns() -> i64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX))
 }
 
-/// Where a part of the daemon takes its time from; copies share it.
+/// The time source of a part of the daemon; clones share it.
 #[derive(Debug, Clone, Default)]
 pub struct Clock(Option<Arc<Virtual>>);
 
@@ -24,20 +24,20 @@ struct Virtual {
 }
 
 impl Clock {
-    /// The system's.
+    /// The system's clocks.
     #[must_use]
     pub const fn system() -> Self {
         Self(None)
     }
 
-    /// A clock that is moved by hand.
+    /// Clocks that are advanced by hand.
     #[must_use]
     pub fn standing(wall_ns: i64) -> Self {
         let (passed_ns, wall_ns) = (AtomicU64::new(0), AtomicI64::new(wall_ns));
         Self(Some(Arc::new(Virtual { origin: Instant::now(), passed_ns, wall_ns })))
     }
 
-    /// The time for timers.
+    /// The monotonic time, for timers.
     #[must_use]
     pub fn now(&self) -> Instant {
         match &self.0 {
@@ -58,7 +58,7 @@ impl Clock {
         self.0.as_ref().map_or_else(now_ns, |v| v.wall_ns.load(Ordering::Relaxed))
     }
 
-    /// Waits; a standing clock is moved instead.
+    /// Waits; a clock set by hand is advanced instead.
     pub fn sleep(&self, time: Duration) {
         if self.0.is_none() {
             std::thread::sleep(time);
@@ -66,7 +66,7 @@ impl Clock {
         self.advance(time);
     }
 
-    /// Moves a standing clock on, timers and wall alike; does nothing to the system's.
+    /// Advances a clock set by hand, monotonic and wall time alike; has no effect on the system's clock.
     pub fn advance(&self, time: Duration) {
         let Some(v) = &self.0 else { return };
         let ns = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
@@ -74,7 +74,7 @@ impl Clock {
         v.wall_ns.fetch_add(i64::try_from(ns).unwrap_or(i64::MAX), Ordering::Relaxed);
     }
 
-    /// Sets the wall of a standing clock, as people and time servers do; timers do not notice.
+    /// Sets the wall time of a clock set by hand, as people and time servers do; timers do not notice.
     pub fn set_wall(&self, wall_ns: i64) {
         if let Some(v) = &self.0 {
             v.wall_ns.store(wall_ns, Ordering::Relaxed);

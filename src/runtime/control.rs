@@ -1,4 +1,4 @@
-//! Requests of people and the system to the engine, and its answers.
+//! Requests to the engine from people and the system, and its answers.
 
 use std::sync::Arc;
 
@@ -6,10 +6,10 @@ use stiction_engine::alarm::Command;
 use stiction_engine::config::{Config, ConfigChanges};
 use stiction_engine::engine::{LoopSettings, Snapshot};
 
-/// How a command is answered: the new document, or what is wrong with the command.
+/// Receives the answer to a command: the new document, or the reason for refusal.
 pub type Answer = Box<dyn FnOnce(Result<Vec<u8>, String>) + Send>;
 
-/// A loop's history at one moment, from which a window can be cut.
+/// A loop's history at one moment, from which windows can be cut.
 #[derive(Debug, Clone)]
 pub struct WindowSnapshot {
     /// `None` before the loop's first sample.
@@ -26,44 +26,44 @@ pub enum Control {
         loop_name: String,
         /// The command.
         command: Command,
-        /// Where the answer goes.
+        /// Receives the answer.
         answer: Answer,
     },
     /// A person's request for a gap diagnosis.
     GapRun {
         /// The loop's name.
         loop_name: String,
-        /// Who asks.
+        /// Who requests it.
         by: Option<String>,
-        /// Whether the cause is decided from the windows of earlier diagnoses, too.
+        /// Whether the windows of earlier diagnoses help to decide the cause.
         pool: bool,
-        /// Where the answer goes, once there is one.
+        /// Receives the answer when there is one.
         answer: Answer,
     },
-    /// Somebody looks at a loop's window; nothing changes.
+    /// A request for a loop's window; changes nothing.
     GetWindow {
         /// The loop's name.
         loop_name: String,
-        /// Where the window ends, ns since 1970; with the newest sample if absent.
+        /// End of the window, ns since 1970; the newest sample if absent.
         end_ns: Option<i64>,
-        /// Where the answer goes.
+        /// Receives the answer.
         answer: Box<dyn FnOnce(Option<WindowSnapshot>) + Send>,
     },
-    /// A reload: another configuration takes the place of the one in force.
+    /// A reload: replaces the configuration in force.
     Edit {
-        /// The other configuration.
+        /// The new configuration.
         edit: Box<Edit>,
         /// Called once it is in force.
         answer: Box<dyn FnOnce() + Send>,
     },
 }
 
-/// A configuration that a running daemon takes over.
+/// A configuration that a running daemon adopts.
 pub struct Edit {
     /// The configuration.
     pub config: Arc<Config>,
-    /// Its text, which recordings hold.
+    /// Its text, for the recordings.
     pub text: String,
-    /// What differs in it from the one in force.
+    /// The differences from the configuration in force.
     pub changes: ConfigChanges,
 }

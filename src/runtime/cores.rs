@@ -1,4 +1,4 @@
-//! Work on all cores: shared out, watched, and ended early by whoever ordered it. Commands and the page order alike.
+//! Distributes work over all cores, reports its progress, and lets the caller end it early. Used by commands and the page.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -6,12 +6,12 @@ use std::time::{Duration, Instant};
 
 use stiction::core::gap::{Executor, GapOptions};
 
-/// Whoever waits for work: hears how far it is, and may end it.
+/// Receives progress, and may end the work.
 pub trait Watch: Sync {
-    /// So many evaluations (or pieces) of so many at most are done; in words, what is under way.
+    /// Reports that `done` evaluations (or pieces) of at most `of` are finished, with the current step in words.
     fn reached(&self, done: u64, of: u64, words: &str);
 
-    /// Whether it shall go on.
+    /// Whether to continue.
     fn go_on(&self) -> bool {
         true
     }
@@ -23,7 +23,7 @@ pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }
 
-/// Runs `job(0)` to `job(jobs - 1)` on all cores, and returns when all are done. The calling thread works too.
+/// Runs `job(0)` to `job(jobs - 1)` on all cores, the calling thread included, and returns when all are done.
 pub fn share(jobs: usize, job: &(dyn Fn(usize) + Sync)) {
     let next = AtomicUsize::new(0);
     let work = || {
@@ -43,11 +43,11 @@ pub fn share(jobs: usize, job: &(dyn Fn(usize) + Sync)) {
     });
 }
 
-/// Does a piece of work for each item; `take` gets each answer as soon as all before it are there. No further item
-/// begins once `go_on` says no, or `take` fails; then answers may be missing in between.
+/// Runs `work` on each item; `take` gets each answer as soon as all earlier ones are there. No further item is started once
+/// `go_on` returns false or `take` fails; answers may then be missing in between.
 ///
 /// # Errors
-/// The first of `take`.
+/// The first error of `take`.
 pub fn in_order<T: Sync, R: Send, E>(
     items: &[T],
     go_on: &(dyn Fn() -> bool + Sync),
@@ -77,7 +77,7 @@ pub fn in_order<T: Sync, R: Send, E>(
             while let Some(answer) = early.remove(&wanted) {
                 wanted += 1;
                 if let Err(error) = take(answer) {
-                    // Whoever sends now learns that nobody listens.
+                    // Stop the other threads, since nobody takes their answers.
                     next.store(items.len(), Ordering::Relaxed);
                     return Err(error);
                 }
@@ -87,7 +87,7 @@ pub fn in_order<T: Sync, R: Send, E>(
     })
 }
 
-/// All cores and a clock for a search that knows neither.
+/// Provides cores and a clock to a search that has access to neither.
 pub struct Team<'a> {
     watch: &'a dyn Watch,
     limit: u64,
@@ -95,7 +95,7 @@ pub struct Team<'a> {
 }
 
 impl<'a> Team<'a> {
-    /// For one search of at most `time`, as long as `watch` lets it go on.
+    /// For one search of at most `time`, while `watch` lets it continue.
     #[must_use]
     pub fn new(watch: &'a dyn Watch, options: &GapOptions, time: Option<Duration>) -> Self {
         Self { watch, limit: options.budget_evaluations, until: time.map(|t| Instant::now() + t) }

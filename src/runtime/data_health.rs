@@ -1,4 +1,4 @@
-//! The summary of what keeps loops from being judged, as it goes to receivers and onto the bus.
+//! The summary of the obstacles that keep loops from being judged, for receivers and the bus.
 
 use serde::Serialize;
 
@@ -7,7 +7,7 @@ use stiction::core::units::{Moment, ms_from_ns};
 use stiction_engine::codec::topic::DATA_HEALTH_SCHEMA;
 use stiction_engine::short_hash;
 
-/// Obstacles that a summary lists.
+/// Most obstacles listed in a summary.
 const LISTED: usize = 100;
 
 /// `stictiond.data_health.v1`.
@@ -53,18 +53,18 @@ pub struct KindCount {
     pub loops: usize,
 }
 
-/// Which summary it is.
+/// Identifies a summary.
 #[derive(Debug, Clone, Copy)]
 pub struct Due<'a> {
     /// Prefix of the site.
     pub prefix: &'a str,
     /// The daemon's id.
     pub daemon: &'a str,
-    /// Its part of the loops, from 0: the id may change at a restart, the part does not.
+    /// The daemon's part of the loops, from 0. Unlike the id, it does not change at a restart.
     pub part: u32,
     /// When it came due, ns since 1970.
     pub due_ns: i64,
-    /// Time since the one before, ns.
+    /// Time since the previous one, ns.
     pub every_ns: i64,
 }
 
@@ -73,7 +73,7 @@ impl DataHealthDocument {
     #[must_use]
     pub fn new(due: Due<'_>, found: &Obstacles) -> Self {
         let mut obstacles = found.obstacles.clone();
-        // Stable: those of a kind stay sorted by name.
+        // A stable sort, so that obstacles of one kind remain sorted by name.
         obstacles.sort_by_key(|obstacle| !obstacle.blocks);
         let more = obstacles.len().saturating_sub(LISTED);
         obstacles.truncate(LISTED);
@@ -109,7 +109,7 @@ impl DataHealthDocument {
     }
 }
 
-/// The share one interval before: the point of the trend nearest to that time.
+/// The share one interval earlier: the nearest point of the trend.
 fn share_before(trend: &[SharePoint], due: Due<'_>) -> Option<f64> {
     let (at_ms, most_ms) = (ms_from_ns(due.due_ns - due.every_ns), ms_from_ns(due.every_ns) / 2.0);
     let distance = |point: &SharePoint| (point.t_ms - at_ms).abs();

@@ -1,4 +1,5 @@
-//! What a person should look at now: raised by whoever notices, cleared when it is over, listed in the health document.
+//! Current problems that a person should look at: raised where they are noticed, cleared when they end, listed in the health
+//! document.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -10,11 +11,11 @@ use super::clock::Clock;
 #[derive(Debug)]
 struct Fault {
     text: String,
-    /// When it is over by itself.
+    /// When it ends by itself.
     until: Option<Instant>,
 }
 
-/// All faults of a daemon, by a key of whoever raises them.
+/// All faults of a daemon, by a key chosen where they are raised.
 #[derive(Debug, Default)]
 pub struct Faults {
     active: Mutex<BTreeMap<String, Fault>>,
@@ -22,18 +23,18 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// None yet, by this clock.
+    /// No faults yet, with this clock.
     #[must_use]
     pub fn new(clock: Clock) -> Self {
         Self { active: Mutex::default(), clock }
     }
 
-    /// A fault that lasts until it is cleared. Logged when it is new; its text may change.
+    /// Raises a fault until it is cleared. It is logged when new; its text may change.
     pub fn raise(&self, key: &str, text: impl Into<String>) {
         self.put(key, text.into(), None);
     }
 
-    /// A fault that is over after a while, unless it is raised again.
+    /// Raises a fault that ends after a while, unless it is raised again.
     pub fn raise_for(&self, key: &str, text: impl Into<String>, lasting: Duration) {
         self.put(key, text.into(), Some(self.clock.now() + lasting));
     }
@@ -48,7 +49,7 @@ impl Faults {
         }
     }
 
-    /// It is over.
+    /// Clears a fault.
     pub fn clear(&self, key: &str) {
         let gone = self.active.lock().unwrap_or_else(PoisonError::into_inner).remove(key);
         if let Some(fault) = gone {
@@ -56,7 +57,7 @@ impl Faults {
         }
     }
 
-    /// What holds now, in words.
+    /// Texts of the current faults.
     #[must_use]
     pub fn list(&self) -> Vec<String> {
         let now = self.clock.now();
@@ -66,8 +67,8 @@ impl Faults {
     }
 }
 
-/// A message of a library without the places in its source, such as `at src/link.rs:388.`: they help nobody who
-/// reads it, and name folders of the machine that built the program.
+/// A library's message without references to source code, such as `at src/link.rs:388.`, which do not help the user and name
+/// folders of the machine that built the program.
 #[must_use]
 pub fn without_places(message: &str) -> String {
     let mut words: Vec<&str> = Vec::new();

@@ -1,4 +1,4 @@
-//! Health documents: what the daemon and each loop say of themselves.
+//! Health documents of the daemon and of each loop.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, RwLock};
@@ -10,8 +10,8 @@ use stiction::core::units::s_from_ns;
 use stiction_engine::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 use stiction_engine::engine::LoopFigures;
 
-/// What the web server reads, and when it was made: replaced as a whole, never locked for longer than a copy of the
-/// pointer.
+/// The health that the web server reads, and when it was made. It is replaced as a whole, and locked no longer than it takes to
+/// copy the pointer.
 pub type HealthSnapshot = Arc<RwLock<(Instant, Arc<DaemonHealth>)>>;
 
 /// One queue's state.
@@ -57,7 +57,7 @@ pub struct DaemonHealth {
 }
 
 impl DaemonHealth {
-    /// What is said before anything was counted.
+    /// The health before anything was counted.
     #[must_use]
     pub fn starting(daemon: &str, config_hash: &str) -> Self {
         Self {
@@ -102,7 +102,7 @@ pub struct LoopHealth {
 }
 
 impl LoopHealth {
-    /// From a loop's figures, at a time.
+    /// From a loop's figures, at a given time.
     #[must_use]
     pub fn new(loop_name: &str, daemon: &str, figures: &LoopFigures, now_ns: i64) -> Self {
         let c = &figures.counts;

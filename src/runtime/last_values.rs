@@ -1,11 +1,11 @@
-//! The last document under each key, as it was published: what queries and the page are answered from.
+//! The last published document of each key, from which queries and the page are answered.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, RwLock};
 
 use bytes::Bytes;
 
-/// Last document by key. Written by the publisher alone; never touched by the engine.
+/// Last document by key. Only the publisher writes it; the engine does not use it.
 pub type LastValues = Arc<RwLock<BTreeMap<String, LastValue>>>;
 
 /// A document.

@@ -1,4 +1,4 @@
-//! Which valves to work on first: loops that may need work, ranked by the cost of leaving them as they are.
+//! Which valves to work on first: loops that may need work, ranked by the cost of leaving them alone.
 
 mod outcome;
 
@@ -16,15 +16,15 @@ use stiction_engine::alarm::Priority;
 use super::overview::Candidate;
 pub use outcome::{Done, Helped, Measured, Outcome, Side, compare};
 
-/// Loops at the top of the list whose repair is simulated.
+/// Top loops of the list whose repair is simulated.
 pub const SIMULATED: usize = 30;
-/// Share that counts where the benefit of a repair is not known.
+/// Share removed by a repair that is assumed where it is unknown.
 const ASSUMED_SHARE: f64 = 0.5;
-/// Weight of a band that grows, and of one that shrinks.
+/// Weights of a growing and of a shrinking band.
 const RISING: f64 = 1.25;
 const FALLING: f64 = 0.8;
 
-/// Share of PV's standard deviation that a repair removes.
+/// Fraction of PV's standard deviation that a repair removes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, schemars::JsonSchema)]
 pub struct Removed {
     /// Median, 0 to 1.
@@ -33,7 +33,7 @@ pub struct Removed {
     pub interval: [f64; 2],
 }
 
-/// What a simulated repair of a loop brings, or why that is not known.
+/// Benefit of a simulated repair, or why it is unknown.
 pub type Benefit = Result<Removed, String>;
 
 /// A loop in the list.
@@ -60,29 +60,30 @@ pub struct Work {
     pub grade: Option<char>,
     /// Dead band plus stick band of the newest window that finds stiction, OP units.
     pub s: Option<f64>,
-    /// The same with its interval, in the unit in which sizes are told.
+    /// The same with its interval, in the display unit.
     pub size: Option<String>,
     /// Unit of `s`.
     pub op_unit: Option<String>,
     /// Trend of s: `rising`, `falling`, `steady`.
     pub s_trend: Option<&'static str>,
-    /// What a repair removes; null where that is not known, as `why` says.
+    /// What a repair removes; null if unknown, for the reason in `why`.
     pub removed: Option<Removed>,
-    /// Whether that is still being computed: ask again.
+    /// Whether that is still being computed; if so, ask again.
     pub pending: bool,
     /// End of the newest window, ms since 1970.
     pub window_end_ms: Option<f64>,
-    /// What the rank follows: share removed (one half where not known) x probability x weight of the grade x trend x criticality / 3.
+    /// The value that determines the rank: share removed (one half if unknown) x probability x weight of the grade x trend x
+    /// criticality / 3.
     pub cost: f64,
-    /// What a repair brings, in a few words.
+    /// Benefit of a repair, in a few words.
     pub benefit: String,
     /// The next step, in a few words.
     pub next_step: &'static str,
     /// What to do.
     pub what_to_do: String,
-    /// Why it is worth it.
+    /// Reason for the work.
     pub why: String,
-    /// How sure that is.
+    /// How certain that is.
     pub sure: String,
 }
 
@@ -95,10 +96,10 @@ impl From<&Repair> for Removed {
     }
 }
 
-/// What a candidate's documents say, as far as the rank needs it.
+/// The data of a candidate that the rank needs.
 struct Known<'a> {
     candidate: &'a Candidate,
-    /// The newest window, if it could answer.
+    /// The newest window, if it has an answer.
     answered: Option<&'a Assessment>,
     p: Option<f64>,
 }
@@ -114,7 +115,7 @@ impl<'a> Known<'a> {
         self.answered.and_then(answer::grade)
     }
 
-    /// Cost of leaving the valve as it is, without a unit.
+    /// Cost of leaving the valve alone; it has no unit.
     fn cost(&self, benefit: Option<&Benefit>) -> f64 {
         let share = benefit.and_then(|b| b.as_ref().ok()).map_or(ASSUMED_SHARE, |removed| removed.share);
         let evidence = match self.grade() {
@@ -141,7 +142,7 @@ impl<'a> Known<'a> {
         alarm.and_then(|alarm| alarm.what_to_do.clone()).or_else(of_estimate).unwrap_or_default()
     }
 
-    /// How the band is confirmed, or what is waited for.
+    /// The test that would confirm the band, or what to wait for.
     fn next_step(&self) -> &'static str {
         let alarm = self.candidate.alarm.as_deref().filter(|alarm| alarm.active).and_then(|alarm| alarm.action);
         match alarm.or_else(|| self.answered.and_then(Action::of)).map(|action| action.confirm) {
@@ -174,7 +175,7 @@ impl<'a> Known<'a> {
         format!("{criticality}{trend}; {}.", self.gain(benefit, pending))
     }
 
-    /// What a repair brings, or why that is not known.
+    /// Benefit of a repair, or why it is unknown.
     fn gain(&self, benefit: Option<&Benefit>, pending: bool) -> String {
         let unknown =
             |why: &str| format!("the rank assumes that a repair removes half of PV's variation, because {why}");
@@ -197,7 +198,7 @@ impl<'a> Known<'a> {
         }
     }
 
-    /// End of the newest window, if its repair can be simulated, ns since 1970.
+    /// End of the newest window if its repair can be simulated, ns since 1970.
     fn simulable(&self) -> Option<i64> {
         self.answered.filter(|a| a.stiction == Some(true)).map(|a| a.window.end_ns)
     }
@@ -253,7 +254,7 @@ impl<'a> Known<'a> {
     }
 }
 
-/// Candidates by the cost of leaving them, highest first, equal ones by name. `benefits` has what is known, by loop.
+/// Candidates by the cost of leaving them alone, highest first, ties by name. `benefits` has the known benefits by loop.
 #[must_use]
 pub fn rank(candidates: &[Candidate], benefits: &BTreeMap<String, Benefit>) -> Vec<Work> {
     let known = candidates.iter().map(Known::of);
@@ -263,7 +264,7 @@ pub fn rank(candidates: &[Candidate], benefits: &BTreeMap<String, Benefit>) -> V
     all.iter().enumerate().map(place).collect()
 }
 
-/// End of the window whose repair can be simulated, ns since 1970; none where the newest window finds no stiction.
+/// End of the window whose repair can be simulated, ns since 1970; `None` if the newest window finds no stiction.
 #[must_use]
 pub fn simulable(candidate: &Candidate) -> Option<i64> {
     Known::of(candidate).simulable()

@@ -1,4 +1,4 @@
-//! Counters of everything that comes in, goes out or is lost. Plain atomics: whoever counts never waits.
+//! Counters of everything that arrives, is sent or is lost. They are plain atomics, so counting never waits.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
@@ -21,7 +21,7 @@ pub struct Label {
     pub name: String,
 }
 
-/// How long something takes: a millisecond to half a minute, each bucket twice the one before.
+/// Histogram of durations: a millisecond to half a minute, each bucket twice the previous one.
 #[derive(Debug, Clone)]
 pub struct LongDurations(pub Histogram);
 
@@ -31,7 +31,8 @@ impl Default for LongDurations {
     }
 }
 
-/// How long a message waits: a fifth of a millisecond to a quarter of a minute, each bucket half as much again as the one before.
+/// Histogram of a message's waiting time: a fifth of a millisecond to a quarter of a minute, each bucket 1.5 times the previous
+/// one.
 #[derive(Debug, Clone)]
 pub struct ShortDurations(pub Histogram);
 
@@ -55,32 +56,32 @@ macro_rules! counters {
             pub codecs: Family<Label, Counter>,
             /// Documents that wait for receivers, by receiver.
             pub delivery_waiting: Family<Label, Gauge>,
-            /// Time that fits take.
+            /// Duration of fits.
             pub fit: LongDurations,
             /// Time from the arrival of the sample that closes a window to its estimate.
             pub lag: LongDurations,
-            /// Series of every loop.
+            /// Series of the single loops.
             pub series: LoopSeries,
-            /// Time from a message's stamp on the bus, or its arrival where it has none, to the engine.
+            /// Time from a message's stamp on the bus, or else its arrival, to the engine.
             pub intake: ShortDurations,
-            /// Time that a comparison of all loops takes.
+            /// Duration of a comparison of all loops.
             pub comparison: LongDurations,
             /// Groups of loops that share one oscillation.
             pub groups: Gauge,
-            /// Loops that there are.
+            /// Number of loops.
             pub loops: Gauge,
-            /// Bytes that they take in the engine.
+            /// Bytes of the loops in the engine.
             pub loop_bytes: Gauge,
             /// Finished recordings that were found damaged.
             pub recordings_damaged: Gauge,
             /// Queue lengths by name.
             pub queues: Family<Label, Gauge>,
-            /// What the aligners dropped or put in, all loops together.
+            /// Samples that the aligners dropped or inserted, over all loops.
             pub aligned: Family<Label, Gauge<u64, AtomicU64>>,
         }
 
         impl Metrics {
-            /// The plain counters by name, for health documents.
+            /// The plain counters by name, for the health documents.
             #[must_use]
             pub fn counters(&self) -> BTreeMap<&'static str, u64> {
                 BTreeMap::from([$((stringify!($field), self.$field.get()),)+])
@@ -150,7 +151,7 @@ counters! {
 }
 
 impl Metrics {
-    /// A registry that shows these metrics, names starting with `stictiond_`.
+    /// A registry with these metrics, whose names start with `stictiond_`.
     #[must_use]
     pub fn registry(&self) -> Registry {
         let mut registry = Registry::with_prefix("stictiond");
@@ -181,7 +182,7 @@ impl Metrics {
         registry
     }
 
-    /// Shows the sum of all loops' aligner counts.
+    /// Sets the totals of all loops' aligner counts.
     pub fn show_aligned(&self, sum: &AlignCounts) {
         let rows = [
             ("taken", sum.taken),

@@ -1,5 +1,5 @@
-//! What every part of the running program shares, and none of them owns: clock, queues, metrics, faults, the daemon's
-//! health, the overview of its loops, and the way to its engine.
+//! Parts shared by the whole running program: clock, queues, metrics, faults, the daemon's health, the overview of its loops,
+//! and requests to its engine.
 
 pub mod blocks;
 pub mod clock;

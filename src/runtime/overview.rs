@@ -1,7 +1,6 @@
-//! What is known of every loop at this moment, for whoever shows it: written by the engine's thread, read by the page.
+//! The current state of every loop, written by the engine's thread and read by the page.
 //!
-//! Only the newest of each document is held, and a few figures of the windows before it; what lies further back is in the
-//! recordings.
+//! It holds only the newest of each document and a few figures of earlier windows; everything older is in the recordings.
 
 mod candidates;
 mod expected;
@@ -30,16 +29,16 @@ pub use groups::{Membership, ShownGroup, ShownGroups};
 pub use obstacles::{Obstacle, ObstacleKind, Obstacles, Survey};
 pub use share::{KeptHealth, SharePoint};
 
-/// Windows of a loop whose figures stay at hand.
+/// Windows of a loop whose figures are kept.
 pub const RECENT: usize = 24;
-/// Changes of alarms that stay at hand for readers that were away for a moment.
+/// Changes of alarms kept for readers that were briefly away.
 const ALARMS_KEPT: usize = 256;
-/// Loops that have left whose names stay at hand; a reader that was away for longer gets all rows.
+/// Names kept of loops that have left; a reader that was away for longer gets all rows.
 const GONE_KEPT: usize = 4096;
-/// A loop is silent once no newer sample came for so long, or for so many sampling times.
+/// A loop is silent if no newer sample came for this long or for this many sampling times, whichever is longer.
 const SILENT_S: f64 = 60.0;
 const SILENT_SAMPLES: f64 = 10.0;
-/// The same before its sampling time is known.
+/// The same while its sampling time is unknown.
 const SILENT_UNKNOWN_S: f64 = 300.0;
 
 /// One window of a loop's recent past.
@@ -47,11 +46,11 @@ const SILENT_UNKNOWN_S: f64 = 300.0;
 pub struct Recent {
     /// Its end, ms since 1970.
     pub t_ms: f64,
-    /// Probability that the valve sticks; null where it could not answer.
+    /// Probability that the valve sticks; null if the window has no answer.
     pub p: Option<f64>,
-    /// Dead band plus stick band, OP units; null where nothing was fitted.
+    /// Dead band plus stick band, OP units; null if nothing was fitted.
     pub s: Option<f64>,
-    /// What it says.
+    /// Its verdict.
     #[serde(skip)]
     pub verdict: Verdict,
 }
@@ -76,17 +75,17 @@ pub struct Row {
     /// loop oscillates, or its valve sticks without an alarm), `C` function check (out of service, or in manual), `none` (nothing
     /// was found); null while there is no answer.
     pub ne107: Option<Sign>,
-    /// Why, in one line.
+    /// The reason in one line.
     pub status: String,
     /// What the loop shows: the verdict of its newest window, or the cause that most of its last ones name.
     pub verdict: Option<Verdict>,
-    /// What the newest window says of stiction: `sticks`, `suspected`, `open`, `not_seen` or `no_answer`.
+    /// The newest window's conclusion on stiction: `sticks`, `suspected`, `open`, `not_seen` or `no_answer`.
     pub standing: Standing,
-    /// Whether that is an answer of an earlier run, or older than the data that should have come.
+    /// Whether that conclusion is from an earlier run, or older than data that should have come.
     pub stale: bool,
-    /// Whether a signal has failed or no newer sample comes, whatever `ne107` says.
+    /// Whether a signal has failed or newer samples are missing, whatever `ne107` says.
     pub failed: bool,
-    /// How pressing it is: greater comes first.
+    /// Urgency; larger values come first.
     pub urgency: f64,
     pub stiction: Option<bool>,
     pub p_stiction: Option<f64>,
@@ -109,9 +108,9 @@ pub struct Row {
     pub unacknowledged: bool,
     pub priority: Option<Priority>,
     pub class: Option<Size>,
-    /// What the last gap diagnosis named.
+    /// The cause named by the last gap diagnosis.
     pub cause: Option<String>,
-    /// What drives it where it follows its group's oscillation, such as `driven by FIC101, p 0.94`.
+    /// The driver of the oscillation if the loop follows its group, such as `driven by FIC101, p 0.94`.
     pub driven: Option<String>,
     /// End of the newest window, ms since 1970.
     pub window_end_ms: Option<f64>,
@@ -124,55 +123,55 @@ pub struct Row {
     pub dropped: u64,
     /// The newest windows, oldest first.
     pub recent: Vec<Recent>,
-    /// How s goes over them: `rising`, `falling`, `steady`; null where too few windows found any.
+    /// Trend of s over them: `rising`, `falling`, `steady`; null if too few windows found any.
     pub s_trend: Option<&'static str>,
 }
 
 /// Health of all data in one line.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, schemars::JsonSchema)]
 pub struct DataHealth {
-    /// Loops from which no newer sample comes.
+    /// Number of loops without newer samples.
     pub silent_loops: usize,
     /// The loop whose newest sample is oldest, and its age, s.
     pub oldest_loop: Option<String>,
-    /// See `oldest_loop`.
+    /// Age of that sample, s.
     pub oldest_age_s: Option<f64>,
-    /// Holes in the data of all loops.
+    /// Gaps in the data of all loops.
     pub data_gaps: u64,
-    /// Samples that were dropped of all loops.
+    /// Dropped samples of all loops.
     pub dropped: u64,
 }
 
-/// How a loop's data flow.
+/// State of a loop's data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Flow {
     /// Stamp of its newest sample, ns since 1970.
     pub newest_ns: Option<i64>,
-    /// Holes that ended a stretch.
+    /// Gaps that ended a stretch of data.
     pub data_gaps: u64,
     /// Samples that were dropped: duplicate, late or stamped far off.
     pub dropped: u64,
 }
 
-/// What is held of one loop.
+/// The data held for one loop.
 #[derive(Debug, Clone)]
 struct Entry {
     place: LoopContext,
     estimate: Option<Arc<EstimateDocument>>,
     alarm: Option<Arc<AlarmDocument>>,
-    /// Whether the estimate is one of an earlier run.
+    /// Whether the estimate is from an earlier run.
     restored: bool,
-    /// What all of it comes to, made anew with every change.
+    /// Summary of all of it, computed again after every change.
     status: LoopStatus,
     cause: Option<String>,
-    /// What drives it, by the newest comparison of loops.
+    /// The driver found by the newest comparison of loops.
     driven: Option<String>,
     recent: VecDeque<Recent>,
-    /// What limits the newest windows, and since when.
+    /// The obstacle of the newest windows, and since when.
     limited: Option<obstacles::Since>,
     signals: signals::SignalFaults,
     newest_ns: Option<i64>,
-    /// When a newer stamp was seen last.
+    /// When its newest stamp last advanced.
     advanced: Instant,
     silent: bool,
     data_gaps: u64,
@@ -180,23 +179,23 @@ struct Entry {
     changed: u64,
 }
 
-/// What the newest documents of a loop say.
+/// The newest documents of a loop.
 #[derive(Debug, Clone, Default)]
 pub struct Newest {
-    /// Of its newest window.
+    /// Estimate of its newest window.
     pub estimate: Option<Arc<EstimateDocument>>,
-    /// Of its alarm, if that ever changed or was restored.
+    /// Its alarm, if that ever changed or was restored.
     pub alarm: Option<Arc<AlarmDocument>>,
-    /// Its newest stamp, ns since 1970, a few seconds late.
+    /// Its newest stamp, ns since 1970; a few seconds old.
     pub newest_ns: Option<i64>,
 }
 
-/// What changed since somebody looked last.
+/// Changes since a reader's last look.
 #[derive(Debug)]
 pub struct Changes {
-    /// Where to go on from.
+    /// The version to continue from.
     pub version: u64,
-    /// Whether the reader was away for too long, and needs all rows.
+    /// Whether the reader was away for too long and needs all rows.
     pub full: bool,
     /// Loops that have left.
     pub gone: Vec<String>,
@@ -211,21 +210,21 @@ struct Loops {
     by_name: BTreeMap<Arc<str>, Entry>,
     version: u64,
     alarms: VecDeque<(u64, Arc<AlarmDocument>)>,
-    /// Loops that have left, with the version that this made.
+    /// Loops that have left, each with the version of that change.
     gone: VecDeque<(u64, Arc<str>)>,
-    /// The last version of which they are no longer all at hand.
+    /// The last version whose leavers are no longer all kept.
     gone_after: u64,
     groups: groups::Groups,
-    /// The loops that the configuration names; none before it is known.
+    /// The configured loops; `None` before they are known.
     expected: Option<expected::Expected>,
-    /// The share of loops that can be judged over time, oldest first.
+    /// Fraction of loops that can be judged, over time, oldest first.
     shares: VecDeque<SharePoint>,
-    /// Obstacles of an earlier run, of loops that had no window since.
+    /// Obstacles from an earlier run, for loops without a window since.
     earlier: BTreeMap<String, obstacles::Since>,
 }
 
 impl Loops {
-    /// Changes an entry; returns the version that this makes.
+    /// Changes an entry; returns the resulting version.
     fn change(&mut self, name: &Arc<str>, place: &LoopContext, now: Instant, change: impl FnOnce(&mut Entry)) -> u64 {
         self.version += 1;
         let entry = self.by_name.entry(name.clone()).or_insert_with(|| Entry::new(place, now));
@@ -236,7 +235,7 @@ impl Loops {
     }
 }
 
-/// Every loop as it is now; copies share it.
+/// The current state of every loop; clones share it.
 #[derive(Debug, Clone, Default)]
 pub struct Overview(Arc<RwLock<Loops>>);
 
@@ -245,7 +244,7 @@ impl Overview {
         self.0.write().unwrap_or_else(PoisonError::into_inner).change(name, place, now, change);
     }
 
-    /// A window was answered.
+    /// Adds the estimate of a window.
     pub fn estimate(&self, name: &Arc<str>, place: &LoopContext, now: Instant, document: Arc<EstimateDocument>) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let earlier = loops.earlier.remove(&**name);
@@ -263,8 +262,8 @@ impl Overview {
         });
     }
 
-    /// What an earlier run heard of a loop last: the moment and stamp of its newest sample, and its newest answer, which is
-    /// shown as an old one until a window of this run has come.
+    /// Restores what an earlier run last heard of a loop: time and stamp of its newest sample, and its newest answer, which is
+    /// marked as old until this run has a window.
     pub fn restore(
         &self,
         name: &Arc<str>,
@@ -282,7 +281,7 @@ impl Overview {
         });
     }
 
-    /// An alarm changed, or was restored.
+    /// Sets an alarm that changed or was restored.
     pub fn alarm(&self, name: &Arc<str>, place: &LoopContext, now: Instant, document: &AlarmDocument) {
         let document = Arc::new(document.clone());
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
@@ -293,12 +292,12 @@ impl Overview {
         loops.alarms.push_back((version, document));
     }
 
-    /// A gap diagnosis named a cause.
+    /// Sets the cause that a gap diagnosis named.
     pub fn cause(&self, name: &Arc<str>, place: &LoopContext, now: Instant, cause: &str) {
         self.change(name, place, now, |entry| entry.cause = Some(cause.to_owned()));
     }
 
-    /// A loop has left the plant.
+    /// Removes a loop that has left the plant.
     pub fn forget(&self, name: &str) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let Some((name, entry)) = loops.by_name.remove_entry(name) else { return };
@@ -314,14 +313,14 @@ impl Overview {
         }
     }
 
-    /// How a loop's data flow, by the engine's figures.
+    /// Updates the state of a loop's data from the engine's figures.
     pub fn figures(&self, name: &Arc<str>, place: &LoopContext, now: Instant, figures: &LoopFigures) {
         let c = &figures.counts;
         let dropped = c.duplicates + c.late + c.stamp_outliers;
         self.flow(name, place, now, Flow { newest_ns: figures.greatest_ns, data_gaps: c.gaps, dropped });
     }
 
-    /// How a loop's data flow. Counts as a change only where the loop is new, fell silent or speaks again.
+    /// Updates the state of a loop's data. Counts as a change only if the loop is new, has fallen silent or is heard again.
     pub fn flow(&self, name: &Arc<str>, place: &LoopContext, now: Instant, flow: Flow) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let next = loops.version + 1;
@@ -331,7 +330,7 @@ impl Overview {
         if is_newer {
             (entry.newest_ns, entry.advanced) = (flow.newest_ns, now);
         }
-        // Who was silent is so until a newer sample comes: also over a restart.
+        // A silent loop remains silent until a newer sample comes, also over a restart.
         let silent = !is_newer && (entry.silent || now.saturating_duration_since(entry.advanced) > entry.patience());
         changed |= silent != entry.silent;
         entry.silent = silent;
@@ -343,7 +342,8 @@ impl Overview {
         }
     }
 
-    /// Rows that changed after a version, by name: at most so many, those after a name. All rows changed after version 0.
+    /// Rows that changed after a version, sorted by name: at most `most` of those after `name`. After version 0 that is all
+    /// rows.
     #[must_use]
     pub fn rows_after(&self, version: u64, name: Option<&str>, most: usize, now_ns: i64) -> Vec<Row> {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
@@ -352,7 +352,7 @@ impl Overview {
         rows.take(most).map(|(name, entry)| entry.row(name, now_ns)).collect()
     }
 
-    /// What changed after a version beside the rows.
+    /// Everything else that changed after a version.
     #[must_use]
     pub fn changes_after(&self, version: u64) -> Changes {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
@@ -367,7 +367,7 @@ impl Overview {
         }
     }
 
-    /// Changes of a loop's alarm that are at hand, oldest first: the newest may not be in the recordings yet.
+    /// The kept changes of a loop's alarm, oldest first; the newest may not be in the recordings yet.
     #[must_use]
     pub fn alarm_changes(&self, name: &str) -> Vec<Arc<AlarmDocument>> {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
@@ -381,7 +381,7 @@ impl Overview {
         loops.by_name.get(name).map(|entry| entry.row(name, now_ns))
     }
 
-    /// The plant in sentences. `prefix` is under which data are awaited.
+    /// The plant in a few sentences. `prefix` is where data are expected.
     #[must_use]
     pub fn headline(&self, prefix: &str) -> Headline {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
@@ -401,14 +401,14 @@ impl Overview {
         })
     }
 
-    /// Every alarm that has a document, with its loop's name.
+    /// Every alarm with a document.
     #[must_use]
     pub fn alarms(&self) -> Vec<Arc<AlarmDocument>> {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
         loops.by_name.values().filter_map(|entry| entry.alarm.clone()).collect()
     }
 
-    /// Health of all data.
+    /// Summary of all data.
     #[must_use]
     pub fn data_health(&self, now_ns: i64) -> DataHealth {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
@@ -450,7 +450,7 @@ impl Entry {
         }
     }
 
-    /// How long may pass without a newer sample.
+    /// How long a newer sample may be missing.
     fn patience(&self) -> Duration {
         let ts_s = self.estimate.as_ref().map(|e| e.assessment.window.ts_s).filter(|ts| ts.is_finite() && *ts > 0.0);
         let s = ts_s.map_or(SILENT_UNKNOWN_S, |ts| (SILENT_SAMPLES * ts).max(SILENT_S));
@@ -527,9 +527,9 @@ impl Entry {
     }
 }
 
-/// How s goes over windows: their later half against their earlier one, by twice what the scatter within each explains.
+/// Trend of s over windows: compares the means of the later and the earlier half, with a limit of two standard errors.
 fn trend(recent: &VecDeque<Recent>) -> Option<&'static str> {
-    /// Windows with a fit that are needed in each half.
+    /// Fewest windows with a fit in each half.
     const LEAST: usize = 3;
     let found: Vec<f64> = recent.iter().filter_map(|w| w.s).collect();
     let (before, after) = found.split_at(found.len() / 2);
@@ -539,7 +539,7 @@ fn trend(recent: &VecDeque<Recent>) -> Option<&'static str> {
     let [(from, from_sd), (to, to_sd)] = [before, after]
         .map(|half| (stiction::core::signal::stats::mean(half), stiction::core::signal::stats::std_dev(half)));
     let error = (from_sd.powi(2) / before.len() as f64 + to_sd.powi(2) / after.len() as f64).sqrt();
-    // Less than a twentieth is nothing to plan by.
+    // A change of less than 5 % is too small to plan by.
     let limit = (2.0 * error).max(0.05 * from.abs());
     Some(match to - from {
         rise if rise > limit => "rising",

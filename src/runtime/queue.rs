@@ -1,16 +1,16 @@
-//! Room for what waits: a limit in bytes beside a queue's limit in messages.
+//! Byte limits for queues, in addition to their limits in messages, and rate limits.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// How many bytes may wait in a queue, and how many do. Copies share one count.
+/// Limit and current number of the bytes in a queue. Clones share one count.
 #[derive(Debug, Clone)]
 pub struct Budget {
     used: Arc<AtomicUsize>,
     limit: usize,
 }
 
-/// Bytes of a budget that something on its way holds; given back when it is dropped.
+/// Bytes of a budget held by a queued item; given back on drop.
 #[derive(Debug)]
 pub struct Room {
     used: Arc<AtomicUsize>,
@@ -24,7 +24,7 @@ impl Budget {
         Self { used: Arc::default(), limit }
     }
 
-    /// Room for so many bytes; none where they would exceed the limit.
+    /// Room for this many bytes; `None` if they would exceed the limit.
     #[must_use]
     pub fn take(&self, bytes: usize) -> Option<Room> {
         let fits = |used: usize| used.checked_add(bytes).filter(|sum| *sum <= self.limit);
@@ -32,13 +32,13 @@ impl Budget {
         Some(Room { used: self.used.clone(), bytes })
     }
 
-    /// Bytes that wait.
+    /// Bytes in use.
     #[must_use]
     pub fn used(&self) -> usize {
         self.used.load(Ordering::Relaxed)
     }
 
-    /// Bytes that may wait.
+    /// The limit in bytes.
     #[must_use]
     pub const fn limit(&self) -> usize {
         self.limit
@@ -51,7 +51,7 @@ impl Drop for Room {
     }
 }
 
-/// A token bucket. The caller passes the time, so tests need no clock.
+/// A token bucket. The caller passes the time, so that tests need no clock.
 #[derive(Debug, Clone, Copy)]
 pub struct Rate {
     per_s: f64,
@@ -61,13 +61,13 @@ pub struct Rate {
 }
 
 impl Rate {
-    /// A rate whose burst is there at once.
+    /// A bucket that starts full.
     #[must_use]
     pub const fn new(per_s: f64, burst: f64) -> Self {
         Self { per_s, burst, left: burst, at_s: 0.0 }
     }
 
-    /// Whether one more is within the rate, at a time that never goes back.
+    /// Whether one more event is within the rate. The time must not go back.
     pub fn allow(&mut self, now_s: f64) -> bool {
         self.left = (self.left + (now_s - self.at_s).max(0.0) * self.per_s).min(self.burst);
         self.at_s = now_s;
@@ -79,12 +79,12 @@ impl Rate {
     }
 }
 
-/// Refusals that are logged a second; more are only counted.
+/// Logged refusals a second; further ones are only counted.
 const LOGGED_PER_S: f64 = 1.0;
-/// Refusals that are logged at once.
+/// Logged refusals in one burst.
 const LOGGED_AT_ONCE: f64 = 10.0;
 
-/// How often one way in logs what it refuses.
+/// The rate at which one entrance logs refusals.
 #[must_use]
 pub const fn logged_rate() -> Rate {
     Rate::new(LOGGED_PER_S, LOGGED_AT_ONCE)

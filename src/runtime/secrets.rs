@@ -2,7 +2,7 @@
 
 use anyhow::Context;
 
-/// The text of a secret's file, without the line's end; `None` where no file is named.
+/// The text in a secret's file, without the newline at the end; `None` if no file is named.
 ///
 /// # Errors
 /// The file cannot be read.
@@ -14,7 +14,7 @@ pub fn secret(path: &str) -> anyhow::Result<Option<String>> {
     Ok(Some(text.trim_end_matches(['\r', '\n']).to_owned()))
 }
 
-/// The bytes of a PEM file; `None` where no file is named.
+/// The bytes of a PEM file; `None` if no file is named.
 ///
 /// # Errors
 /// The file cannot be read; `key` names it.

@@ -1,4 +1,4 @@
-//! Series of every loop in `/metrics`: what alert rules and boards need, for a bounded number of loops.
+//! Metrics for single loops in `/metrics`, as needed by alert rules and dashboards, for a bounded number of loops.
 
 use std::collections::HashMap;
 use std::sync::atomic::AtomicU64;
@@ -12,13 +12,13 @@ use stiction::core::verdict::Assessment;
 use stiction_engine::alarm::{AlarmDocument, LoopContext, Priority, State};
 use stiction_engine::config::Config;
 
-/// The loop.
+/// Label that names the loop.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 pub struct Loop {
     r#loop: String,
 }
 
-/// The loop, and what the configuration says of it.
+/// Labels with the loop's name and configured context.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 pub struct About {
     r#loop: String,
@@ -41,7 +41,7 @@ impl About {
 
 type Number = Family<Loop, Gauge<f64, AtomicU64>>;
 
-/// The series themselves.
+/// The series.
 #[derive(Debug, Default)]
 pub struct LoopSeries {
     about: Family<About, Gauge>,
@@ -56,7 +56,7 @@ pub struct LoopSeries {
 }
 
 impl LoopSeries {
-    /// Shows them.
+    /// Registers the series.
     pub fn register(&self, registry: &mut Registry) {
         registry.register("loop_about", "Area, equipment and criticality of a loop, always 1", self.about.clone());
         registry.register("loop_alarm_active", "Whether the stiction alarm's condition holds", self.active.clone());
@@ -89,18 +89,18 @@ impl LoopSeries {
     }
 }
 
-/// Which loops have series.
+/// The loops that have series.
 #[derive(Debug)]
 pub struct LoopMetrics {
-    /// Loops beyond those that the configuration names.
+    /// Number of loops with series beyond the configured ones.
     room: usize,
     named: Vec<String>,
-    /// By name; none where a loop found no room.
+    /// Labels by name; `None` for a loop beyond the limit.
     keys: HashMap<String, Option<(Loop, About)>>,
 }
 
 impl LoopMetrics {
-    /// Under these settings; none where the series are switched off.
+    /// Under this configuration; `None` if the series are switched off.
     #[must_use]
     pub fn new(config: &Config) -> Option<Self> {
         let limit = config.web.max_loop_series;
@@ -109,7 +109,7 @@ impl LoopMetrics {
         on.then(|| Self { room: limit - named.len(), named, keys: HashMap::new() })
     }
 
-    /// Other loops are named: those have their places whatever the limit.
+    /// Adopts new configured loops, which have series whatever the limit.
     pub fn name_loops(&mut self, config: &Config) {
         let limit = config.web.max_loop_series;
         self.named = config.loops.iter().take(limit).map(|l| l.name.clone()).collect();
@@ -117,7 +117,7 @@ impl LoopMetrics {
         self.room = (limit - self.named.len()).saturating_sub(unnamed.count());
     }
 
-    /// The configuration says something else of a loop: its labels follow.
+    /// Updates a loop's labels after an edit of the configuration.
     pub fn describe(&mut self, series: &LoopSeries, name: &str, place: &LoopContext) {
         let Some(Some((_, about))) = self.keys.get_mut(name) else { return };
         series.about.remove(about);
@@ -125,13 +125,13 @@ impl LoopMetrics {
         series.about.get_or_create(about).set(1);
     }
 
-    /// How many loops have a series.
+    /// Number of known loops.
     #[must_use]
     pub fn count(&self) -> usize {
         self.keys.len()
     }
 
-    /// The labels of a loop, which takes its place now if it is new.
+    /// The labels of a loop; a new loop takes a place now.
     fn key(&mut self, series: &LoopSeries, name: &str, place: &LoopContext) -> Option<Loop> {
         if let Some(key) = self.keys.get(name) {
             return key.as_ref().map(|(key, _)| key.clone());
@@ -150,17 +150,17 @@ impl LoopMetrics {
         Some(key)
     }
 
-    /// Shows what a window says.
+    /// Sets the values of a window.
     pub fn estimate(&mut self, series: &LoopSeries, name: &str, place: &LoopContext, a: &Assessment) {
         let Some(key) = self.key(series, name, place) else { return };
-        // A window that cannot answer leaves what was said before: the age of the data tells how old that is.
+        // A window without an answer leaves the previous values; the age of the data shows how old they are.
         if a.stiction.is_some() {
             LoopSeries::set(&series.probability, &key, a.p_stiction);
             LoopSeries::set(&series.size, &key, a.s);
         }
     }
 
-    /// Shows an alarm.
+    /// Sets the values of an alarm.
     pub fn alarm(&mut self, series: &LoopSeries, name: &str, place: &LoopContext, d: &AlarmDocument) {
         let Some(key) = self.key(series, name, place) else { return };
         let aside = matches!(d.state, State::Shelved | State::Suppressed | State::OutOfService);
@@ -171,7 +171,7 @@ impl LoopMetrics {
         series.priority.get_or_create(&key).set(rank(d.priority));
     }
 
-    /// A loop has left the plant: its series end, and their places are free.
+    /// Removes the series of a loop that has left the plant.
     pub fn forget(&mut self, series: &LoopSeries, name: &str) {
         match self.keys.remove(name) {
             None => {}
@@ -189,7 +189,7 @@ impl LoopMetrics {
         }
     }
 
-    /// Shows the age of a loop's data; its alarm is at rest until it says otherwise.
+    /// Sets the age of a loop's data. A new loop's alarm counts as normal.
     pub fn age(&mut self, series: &LoopSeries, name: &str, place: &LoopContext, age_s: Option<f64>) {
         let Some(key) = self.key(series, name, place) else { return };
         LoopSeries::set(&series.data_age, &key, age_s);

@@ -2,7 +2,7 @@
 
 use anyhow::ensure;
 
-/// Refuses what needs TLS where it was left out.
+/// Fails if this build lacks the TLS that `by` needs.
 ///
 /// # Errors
 /// This build has none.

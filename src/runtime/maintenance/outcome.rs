@@ -5,12 +5,12 @@ use serde::Serialize;
 use stiction::core::signal::stats::median;
 use stiction::core::units::{number, probability};
 
-/// Windows with an answer that each side needs.
+/// Fewest windows with an answer on each side.
 const LEAST: usize = 3;
-/// An s below this share of that before is smaller.
+/// s counts as smaller below this fraction of its earlier value.
 const SMALLER: f64 = 0.8;
 
-/// What is compared of one window.
+/// The compared values of one window.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Measured {
     /// Whether it finds stiction.
@@ -26,9 +26,9 @@ pub struct Measured {
 /// Windows before or after a date.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, schemars::JsonSchema)]
 pub struct Side {
-    /// Windows with an answer.
+    /// Number of windows with an answer.
     pub windows: usize,
-    /// How many of them find stiction.
+    /// Number of those that find stiction.
     pub sticking: usize,
     /// Median probability that the valve sticks.
     pub p: Option<f64>,
@@ -42,17 +42,17 @@ pub struct Side {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Helped {
-    /// No window finds stiction any more.
+    /// No window finds stiction any longer.
     Yes,
     /// Fewer windows find it, or s is smaller.
     Partly,
-    /// It sticks as before.
+    /// It sticks as much as before.
     No,
-    /// The windows do not show it.
+    /// The windows do not show whether it helped.
     Unknown,
 }
 
-/// Before and after a date.
+/// Comparison before and after a date.
 #[derive(Debug, Clone, PartialEq, Serialize, schemars::JsonSchema)]
 pub struct Outcome {
     /// The windows before.
@@ -88,10 +88,10 @@ impl Side {
     }
 }
 
-/// What was done at the date that divides the windows.
+/// Event at the date that divides the windows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Done {
-    /// The valve was found to stick.
+    /// The valve was found to be sticking.
     Found,
     /// It was found not to stick.
     Nothing,

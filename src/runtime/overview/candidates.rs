@@ -1,4 +1,4 @@
-//! Loops that may need work: those whose alarm is active or whose newest window finds stiction.
+//! Loops that may need work: their alarm is active or their newest window finds stiction.
 
 use std::sync::{Arc, PoisonError};
 
@@ -18,11 +18,11 @@ pub struct Candidate {
     pub estimate: Option<Arc<EstimateDocument>>,
     /// Its alarm.
     pub alarm: Option<Arc<AlarmDocument>>,
-    /// What drives it where it follows its group's oscillation.
+    /// The driver of the oscillation if the loop follows its group.
     pub driven: Option<String>,
-    /// Whether no newer sample comes.
+    /// Whether newer samples are missing.
     pub silent: bool,
-    /// Trend of s over its newest windows: `rising`, `falling`, `steady`; none where too few windows found any.
+    /// Trend of s over its newest windows: `rising`, `falling`, `steady`; `None` if too few windows found any.
     pub s_trend: Option<&'static str>,
 }
 

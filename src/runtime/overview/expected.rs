@@ -1,4 +1,4 @@
-//! Loops that the configuration names: their keys, when waiting for them began, and how many samples a period they need.
+//! The configured loops: their keys, since when they are awaited, and the samples per period that they need.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
@@ -9,27 +9,27 @@ use stiction::core::record::Signal;
 use stiction_engine::codec::topic;
 use stiction_engine::config::{Action, Config, LoopConfig};
 
-/// A loop that the configuration names.
+/// A configured loop that has no entry.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Awaited {
-    /// Its place in the configuration.
+    /// Its index in the configuration.
     index: usize,
-    /// Its newest sample where it has left the memory, else when the daemon began to wait, ns since 1970.
+    /// If the loop was forgotten, the stamp of its newest sample; else when the daemon began to wait; ns since 1970.
     pub since_ns: i64,
     since: Instant,
-    /// Whether a value of it came before it left the memory.
+    /// Whether it was heard and then forgotten.
     pub has_left: bool,
 }
 
 impl Awaited {
-    /// Whether it is late.
+    /// Whether it is overdue.
     pub fn is_silent(&self, now: Instant) -> bool {
         let patience = Duration::from_secs_f64(SILENT_UNKNOWN_S);
         self.has_left || now.saturating_duration_since(self.since) > patience
     }
 }
 
-/// The loops that the configuration names.
+/// The configured loops.
 #[derive(Debug)]
 pub(super) struct Expected {
     config: Arc<Config>,
@@ -59,7 +59,7 @@ impl Expected {
         self.entry(name)?.action
     }
 
-    /// Least samples a period of a loop.
+    /// Fewest samples per period that a loop needs.
     pub fn samples_per_period(&self, name: &str) -> f64 {
         self.entry(name).map_or(self.config.window, |entry| entry.window).min_samples_per_period
     }
@@ -73,7 +73,7 @@ impl Expected {
         })
     }
 
-    /// Notes the newest sample of a loop that the daemon forgets.
+    /// Notes the newest sample of a loop that the daemon is forgetting.
     pub fn forget(&mut self, name: &str, newest_ns: Option<i64>) {
         if let (Some(awaited), Some(newest_ns)) = (self.by_name.get_mut(name), newest_ns) {
             (awaited.since_ns, awaited.has_left) = (newest_ns, true);
@@ -82,7 +82,7 @@ impl Expected {
 }
 
 impl Overview {
-    /// Sets which loops the configuration names; waiting begins at `now` for those that are new.
+    /// Sets the configured loops; the wait for new ones starts at `now`.
     pub fn expect(&self, config: Arc<Config>, now: Instant, now_ns: i64) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let before = loops.expected.take();

@@ -1,4 +1,4 @@
-//! The groups of loops that share one oscillation, and who belonged to each at the last comparisons.
+//! The groups of loops that share one oscillation, with their members at the latest comparisons.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, PoisonError};
@@ -10,26 +10,26 @@ use super::Overview;
 use stiction::core::plantwide::{GroupDocument, SourceKind};
 use stiction::core::units::ms_from_ns;
 
-/// Comparisons of a group whose members stay at hand.
+/// Comparisons of a group whose members are kept.
 const COMPARISONS_KEPT: usize = 200;
-/// Groups that no longer exist whose members stay at hand, in case they come back.
+/// Ended groups whose members are kept, in case the groups return.
 const ENDED_KEPT: usize = 64;
 
-/// Who belonged to a group at one comparison.
+/// The members of a group at one comparison.
 #[derive(Debug, Clone, PartialEq, Serialize, schemars::JsonSchema)]
 pub struct Membership {
-    /// End of the time that was compared, ms since 1970.
+    /// End of the compared time, ms since 1970.
     pub t_ms: f64,
     /// Names of the loops, the likeliest source first.
     pub members: Vec<String>,
-    /// The loop that causes the oscillation; null where none is named.
+    /// The loop that causes the oscillation; null if none is named.
     pub source: Option<String>,
 }
 
-/// A group as it is now, with its members over time.
+/// A current group, with its members over time.
 #[derive(Debug, Clone, Serialize, schemars::JsonSchema)]
 pub struct ShownGroup {
-    /// A number that the group keeps while members of it stay together; it starts anew with the daemon.
+    /// A number that the group keeps while its members stay together; numbers start again with the daemon.
     pub id: u64,
     /// The newest document.
     #[serde(serialize_with = "as_itself")]
@@ -55,7 +55,7 @@ pub struct ShownGroups {
 #[derive(Debug)]
 struct Track {
     id: u64,
-    /// `None` where the newest comparison did not find it.
+    /// `None` if the newest comparison did not find it.
     document: Option<Arc<GroupDocument>>,
     history: VecDeque<Membership>,
 }
@@ -80,18 +80,18 @@ impl Track {
     }
 }
 
-/// Every group that is remembered.
+/// All remembered groups.
 #[derive(Debug, Default)]
 pub(super) struct Groups {
     tracks: Vec<Track>,
     next_id: u64,
     compared: Option<Instant>,
-    /// The version that the newest comparison made.
+    /// Version of the newest comparison.
     pub(super) changed: u64,
 }
 
 impl Groups {
-    /// Takes the groups of a comparison: each goes on where most of its members were.
+    /// Takes the groups of a comparison: each continues the group that had most of its members.
     fn take(&mut self, now: Instant, groups: Vec<Arc<GroupDocument>>) {
         self.compared = Some(now);
         let mut pairs: Vec<(usize, usize, usize)> = Vec::new();
@@ -136,7 +136,7 @@ impl Groups {
 }
 
 impl Overview {
-    /// The loops were compared: these are the groups now.
+    /// Sets the groups of a new comparison.
     pub fn show_groups(&self, now: Instant, groups: Vec<Arc<GroupDocument>>) {
         let judged = groups.iter().flat_map(|group| &group.judgements);
         let causes: HashMap<&str, &String> =

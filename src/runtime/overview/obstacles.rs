@@ -1,5 +1,5 @@
-//! What keeps loops from being judged, and what to do about it: from the newest estimate of each loop, the flow of its data
-//! and the loops that the configuration names.
+//! Obstacles that keep loops from being judged, and their remedies; from each loop's newest estimate, the state of its data and
+//! the configured loops.
 
 use std::sync::PoisonError;
 use std::time::Instant;
@@ -42,12 +42,12 @@ pub enum ObstacleKind {
 }
 
 impl ObstacleKind {
-    /// Whether it is shown rather than signals that do not belong together.
+    /// Whether it is shown in preference to misplaced signals.
     const fn comes_first(self) -> bool {
         matches!(self, Self::Frozen | Self::Swapped | Self::AtLimit | Self::Manual)
     }
 
-    /// In words, after a number of loops.
+    /// In words that follow a number of loops.
     #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
@@ -92,24 +92,24 @@ pub struct Obstacle {
 /// The obstacles of all loops.
 #[derive(Debug, Clone, PartialEq, Serialize, schemars::JsonSchema)]
 pub struct Obstacles {
-    /// Loops that have appeared, and those that the configuration names.
+    /// Loops that have appeared, plus configured ones that have not.
     pub loops: usize,
-    /// Loops without an obstacle that blocks.
+    /// Loops without a blocking obstacle.
     pub judged: usize,
     /// `judged` over `loops`; null without loops.
     pub share: Option<f64>,
-    /// By kind, then by loop.
+    /// Sorted by kind, then by loop.
     pub obstacles: Vec<Obstacle>,
-    /// How the share went, oldest first: a point an hour, of the last month.
+    /// The share over the last month, one point an hour, oldest first.
     pub trend: Vec<SharePoint>,
 }
 
-/// The obstacles of all loops, as they were at one moment.
+/// The obstacles of all loops at one moment.
 #[derive(Debug)]
 pub struct Survey {
     /// The obstacles.
     pub found: Obstacles,
-    /// When each of them began.
+    /// When each obstacle began.
     pub(super) since: Vec<(String, Since)>,
 }
 
@@ -118,7 +118,7 @@ pub struct Survey {
 struct Limit {
     kind: ObstacleKind,
     blocks: bool,
-    /// Word of the reason or gate.
+    /// Name of the reason or gate.
     name: &'static str,
 }
 
@@ -129,11 +129,11 @@ pub struct Since {
     start_ns: i64,
 }
 
-/// What limits an estimate most; none where it has an answer that counts for an alarm and is not compressed.
+/// The main limit of an estimate; `None` if it has an answer that counts for an alarm and its data are not compressed.
 fn limit_of(a: &Assessment) -> Option<Limit> {
     let met = |gate: Gate| a.gates.contains(&gate);
     let (kind, name) = match a.reason.filter(|_| a.stiction.is_none()) {
-        // Nobody wants it judged.
+        // Not meant to be judged.
         Some(NO_VALVE) => return None,
         Some(name @ ("frozen_pv" | "frozen_op" | "stuck_signal" | "no_response")) => (ObstacleKind::Frozen, name),
         Some(name @ "swapped") => (ObstacleKind::Swapped, name),
@@ -141,7 +141,7 @@ fn limit_of(a: &Assessment) -> Option<Limit> {
         Some(name @ "manual") => (ObstacleKind::Manual, name),
         Some(name @ "rate_too_low") => (ObstacleKind::TooSlow, name),
         Some(name @ "op_held") => (ObstacleKind::Compressed, name),
-        // Where nothing oscillates, the period is that of the noise.
+        // If nothing oscillates, the period is that of the noise.
         None | Some("too_coarse" | "too_few_reversals" | "implausible_model" | "not_fitted")
             if met(Gate::TooCoarse) && a.verdict != Verdict::NotOscillating =>
         {
@@ -156,7 +156,7 @@ fn limit_of(a: &Assessment) -> Option<Limit> {
     Some(Limit { kind, blocks: a.stiction.is_none(), name })
 }
 
-/// What to do about it, with the figures of the estimate.
+/// The remedy, with the figures of the estimate.
 fn remedy(limit: Limit, a: &Assessment, needed: f64) -> String {
     match (limit.kind, a.oscillation.period_s) {
         (ObstacleKind::TooSlow, Some(period_s)) => {
@@ -180,17 +180,17 @@ fn remedy(limit: Limit, a: &Assessment, needed: f64) -> String {
 }
 
 impl Since {
-    /// The beginning after a further estimate.
+    /// The beginning, updated by a further estimate.
     pub(super) fn after(before: Option<Self>, a: &Assessment) -> Option<Self> {
         let kind = limit_of(a)?.kind;
         Some(before.filter(|since| since.kind == kind).unwrap_or(Self { kind, start_ns: a.window.start_ns }))
     }
 }
 
-/// A loop's obstacle, and since when, ns since 1970.
+/// A loop's obstacle, and its beginning, ns since 1970.
 type Found = (Obstacle, Option<i64>);
 
-/// An obstacle without its beginning.
+/// An obstacle; its beginning is set later.
 fn obstacle(name: &str, area: Option<String>, kind: ObstacleKind, words: String, remedy: String) -> Obstacle {
     Obstacle { loop_name: name.to_owned(), area, kind, appeared: true, blocks: true, since_ms: None, words, remedy }
 }
@@ -199,7 +199,7 @@ fn beginning(obstacle: Obstacle, since_ns: Option<i64>) -> Found {
     (Obstacle { since_ms: since_ns.map(ms_from_ns), ..obstacle }, since_ns)
 }
 
-/// What to look at where no value comes.
+/// What to check if no value comes.
 fn remedy_of_silence(keys: Option<[String; 2]>) -> String {
     keys.map_or_else(
         || "check the publisher or gateway of its keys".to_owned(),
@@ -240,12 +240,12 @@ impl Entry {
 }
 
 impl Loops {
-    /// When a loop fell silent, by an earlier run.
+    /// When a loop fell silent during an earlier run.
     fn silent_since(&self, name: &str) -> Option<i64> {
         self.earlier.get(name).filter(|since| since.kind == ObstacleKind::Silent).map(|since| since.start_ns)
     }
 
-    /// The obstacle of a loop that the configuration names and of which nothing is held.
+    /// The obstacle of a configured loop without an entry.
     fn missing(&self, name: &str, awaited: &Awaited, expected: &Expected, now: Instant) -> Found {
         let (area, remedy) = (expected.area(name), remedy_of_silence(Some(expected.keys(name))));
         let (kind, words) = match (awaited.is_silent(now), awaited.has_left) {
@@ -260,13 +260,13 @@ impl Loops {
 }
 
 impl Overview {
-    /// What keeps loops from being judged.
+    /// The obstacles of all loops.
     #[must_use]
     pub fn obstacles(&self, now: Instant) -> Obstacles {
         self.survey(now).found
     }
 
-    /// The same, with what a restart needs of it.
+    /// The same, with the data that a restart needs.
     #[must_use]
     pub fn survey(&self, now: Instant) -> Survey {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! The share of loops that can be judged over time, and what of it is kept over a restart.
+//! The fraction of loops that can be judged over time, and what is stored of it for a restart.
 
 use std::collections::BTreeMap;
 use std::sync::PoisonError;
@@ -9,28 +9,28 @@ use super::obstacles::Since;
 use super::{Obstacles, Overview, Survey};
 use stiction::core::units::ms_from_ns;
 
-/// Points that are kept: a month of hours.
+/// Points kept: hourly for a month.
 const POINTS: usize = 24 * 31;
-/// Obstacles whose beginning is kept over a restart.
+/// Most obstacles whose beginning is stored for a restart.
 const KEPT: usize = 10_000;
 
-/// The share at one time.
+/// The fraction at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct SharePoint {
     /// Time, ms since 1970.
     pub t_ms: f64,
     /// Loops that can be judged.
     pub judged: usize,
-    /// Loops in all.
+    /// Total number of loops.
     pub loops: usize,
     /// `judged` over `loops`.
     pub share: f64,
 }
 
-/// What is kept over a restart.
+/// The data stored for a restart.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct KeptHealth {
-    /// The share, oldest first.
+    /// The fraction over time, oldest first.
     shares: Vec<SharePoint>,
     /// When each loop's obstacle began.
     since: BTreeMap<String, Since>,
@@ -46,11 +46,11 @@ impl Overview {
         loops.earlier = kept.since;
     }
 
-    /// What is kept over a restart.
+    /// The data to store for a restart.
     #[must_use]
     pub fn kept(&self, survey: &Survey, sent: Option<i64>) -> KeptHealth {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
-        // A loop that has had no window yet may go on with the obstacle of an earlier run.
+        // For a loop without a window so far, the obstacle of an earlier run may still apply.
         let is_known = |name: &str| {
             loops.by_name.contains_key(name) || loops.expected.as_ref().is_some_and(|e| e.awaited(name).is_some())
         };
@@ -62,7 +62,7 @@ impl Overview {
         KeptHealth { shares: loops.shares.iter().copied().collect(), since, sent }
     }
 
-    /// Adds the share to its trend.
+    /// Adds the current fraction to the trend.
     pub fn add_share(&self, found: &Obstacles, now_ns: i64) {
         let Some(share) = found.share else { return };
         let point = SharePoint { t_ms: ms_from_ns(now_ns), judged: found.judged, loops: found.loops, share };

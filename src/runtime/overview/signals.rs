@@ -1,4 +1,4 @@
-//! Signals of a loop that do not belong together: those of another loop, and those with the wrong sign.
+//! Signals that do not belong to their loop or have the wrong sign.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
@@ -10,17 +10,17 @@ use stiction::core::verdict::Assessment;
 use stiction_engine::config::Action;
 use stiction_engine::engine::Misplaced;
 
-/// What is wrong with a loop's signals, and the start of the first window with it, ns since 1970.
+/// The faults of a loop's signals, each with the start of the first window that shows it, ns since 1970.
 #[derive(Debug, Clone, Default)]
 pub(super) struct SignalFaults {
-    /// By the newest comparison of loops.
+    /// From the newest comparison of loops.
     misplaced: Option<(Misplaced, i64)>,
-    /// The configured action that the controller contradicts.
+    /// The configured action, if the controller contradicts it.
     against: Option<(Action, i64)>,
 }
 
 impl SignalFaults {
-    /// Compares the action that is configured with the controller of a window. A window that shows no controller changes nothing.
+    /// Compares the configured action with the controller found in a window. A window that shows no controller changes nothing.
     pub fn window(&mut self, action: Option<Action>, a: &Assessment) {
         let controller = a.controller.as_ref().filter(|controller| controller.r2 >= CERTAIN_R2);
         match (action, controller) {
@@ -78,7 +78,7 @@ impl SignalFaults {
 }
 
 impl Overview {
-    /// Sets which loops have a signal under the wrong name or with the wrong sign, by the newest comparison of loops.
+    /// Sets the loops with a signal under the wrong name or of the wrong sign, from the newest comparison of loops.
     pub fn show_misplaced(&self, found: Vec<(Arc<str>, Misplaced)>) {
         let mut found: BTreeMap<Arc<str>, Misplaced> = found.into_iter().collect();
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);

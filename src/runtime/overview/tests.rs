@@ -1,4 +1,4 @@
-//! Changes as readers are given them, silence, and the newest windows.
+//! The changes that readers get, silence, and the newest windows.
 
 use super::*;
 use stiction::core::plantwide::GroupDocument;
@@ -52,7 +52,7 @@ fn changes_are_told_once_and_everything_to_who_comes_new() {
     let (version, rows) = (overview.changes_after(0).version, rows_after(&overview, 0));
     let signs: Vec<_> = rows.iter().map(|r| (r.name.as_str(), r.ne107)).collect();
     assert_eq!(signs, [("A", Some(Sign::OutOfSpecification)), ("B", None)]);
-    // Data that flow are no change; an alarm is one.
+    // New data alone are not a change; an alarm is.
     overview.figures(&b, &place, now, &figures(6));
     assert!(rows_after(&overview, version).is_empty());
     let document = AlarmDocument { active: true, state: State::Unack, ..Alarm::default().restored("A") };
@@ -138,7 +138,7 @@ fn the_cause_that_a_loop_shows_is_that_of_most_of_its_last_windows() {
     for k in 0..6 {
         status(k, Verdict::Tuning);
     }
-    // One window of another cause, or without an oscillation, does not change what is shown.
+    // A single window with another cause, or without an oscillation, does not change the displayed one.
     let (ne107, shown) = status(6, Verdict::CauseUnknown);
     assert!(
         ne107 == Some(Sign::OutOfSpecification)
@@ -163,7 +163,7 @@ fn a_restart_shows_the_newest_recorded_answer_as_an_old_one_and_a_silent_loop_st
         let newest_ns = now_ns - 1_000_000_000 * age_s as i64;
         let heard = now.checked_sub(Duration::from_secs(age_s)).unwrap();
         overview.restore(&name.into(), &place, (heard, Some(newest_ns)), Some(of(name)));
-        // The stream of the earlier run brings no newer sample.
+        // The restored stream has no newer sample.
         overview.figures(&name.into(), &place, now, &figures(newest_ns));
     };
     restore("A", 7_100);
@@ -209,13 +209,13 @@ fn a_group_goes_on_where_most_of_its_members_are() {
     let (overview, now) = (Overview::default(), Instant::now());
     assert!(overview.groups(now).compared_age_s.is_none());
     overview.show_groups(now, vec![group(1, &["A", "B", "C"]), group(1, &["X", "Y"])]);
-    // C joins X and Y; the two groups come in the other order.
+    // C joins X and Y; the groups come in a different order.
     overview.show_groups(now, vec![group(2, &["X", "Y", "C"]), group(2, &["A", "B"])]);
     let shown = overview.groups(now).groups;
     let told: Vec<_> = shown.iter().map(|g| (g.id, g.document.members.join(""), g.history.len())).collect();
     assert_eq!(told, [(0, "AB".to_owned(), 2), (1, "XYC".to_owned(), 2)]);
     assert_eq!(shown[1].history[0].members, ["X", "Y"]);
-    // One that is gone is not shown, and goes on when it comes back; the history is bounded.
+    // A group that has ended is not shown, and continues when it returns; the history is bounded.
     overview.show_groups(now, Vec::new());
     assert!(overview.groups(now).groups.is_empty());
     for k in 0..300 {
@@ -278,7 +278,7 @@ fn a_configured_loop_that_sends_nothing_is_silent_and_each_loop_needs_its_own_sa
     overview.expect(config.clone(), now, 5_000_000);
     let kinds = |at| overview.obstacles(at).obstacles.iter().map(|o| o.kind).collect::<Vec<_>>();
     assert_eq!((kinds(now), kinds(later)), (vec![ObstacleKind::Waiting; 2], vec![ObstacleKind::Silent; 2]));
-    // A reload does not begin the wait anew.
+    // A reload does not restart the wait.
     overview.expect(config, later, 9_000_000);
     let found = overview.obstacles(later);
     let b = &found.obstacles[1];
@@ -298,7 +298,7 @@ fn a_configured_loop_that_sends_nothing_is_silent_and_each_loop_needs_its_own_sa
     overview.estimate(&"D".into(), &place, later, Arc::new(document));
     let found = overview.obstacles(later);
     assert!(found.obstacles.iter().all(|o| o.loop_name != "D"), "the period of noise needs no samples");
-    // A loop that has left the memory is still awaited.
+    // A forgotten loop is still awaited.
     overview.figures(&"A".into(), &place, later, &figures(7_000_000));
     overview.forget("A");
     let found = overview.obstacles(later);
