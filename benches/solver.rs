@@ -1,7 +1,6 @@
-//! `cargo bench`: what the solver is made of, on simulated loops whose truth is known.
+//! `cargo bench`: the solver's parts, on simulated loops with known truth.
 //!
-//! Wall-clock times, for changes on one quiet machine. `stictiond bench` measures CPU time and prints the table that stands
-//! in docs/operate.md.
+//! Wall-clock times, for changes on one quiet machine. `stiction-lab bench` measures CPU time.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use divan::{Bencher, black_box};

@@ -1,4 +1,4 @@
-//! A solver of your own on the error surface, beside those that are there.
+//! A user-defined solver on the error surface, compared with the built-in ones.
 //!
 //! `cargo run --release --example own_solver`
 
@@ -6,7 +6,7 @@ use stiction::sim::he_step;
 use stiction::solver::{ALL, Objective, Outcome, Settings, Solver, Surface, solve};
 use stiction::{Class, Law, ModelChoice, NoFit, Options, Record, ValveChoice};
 
-/// Walks down each row of a grid: no good solver, but a short one.
+/// Walks down each row of a grid: a poor solver, but a short one.
 struct Rows;
 
 impl Solver for Rows {
@@ -14,7 +14,7 @@ impl Solver for Rows {
         "rows"
     }
 
-    /// Points are [s, j] in spans of OP, with s = fs + fd and j = fs - fd.
+    /// Points are [s, j] relative to OP's span, with s = fs + fd and j = fs - fd.
     fn search(&self, objective: &mut dyn Objective, settings: &Settings) -> Outcome {
         let side = ((2 * settings.budget) as f64).sqrt() as u32;
         let mut best = Outcome::nothing();
@@ -32,7 +32,7 @@ impl Solver for Rows {
     }
 }
 
-/// OP swings, a sticking valve follows it, a first-order process answers the valve.
+/// OP oscillates, a sticking valve follows it, and a first-order process responds to the valve.
 fn record() -> Record {
     let op: Vec<f64> =
         (0..600).map(|k| 6.0 * (f64::from(k) * 0.06).sin() + 2.0 * (f64::from(k) * 0.017).sin()).collect();

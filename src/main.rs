@@ -1,4 +1,4 @@
-//! The program `stictiond`; the library's first page has the map.
+//! The program `stictiond`; the map is in the documentation of the library.
 
 use std::process::ExitCode;
 

@@ -103,11 +103,11 @@ pub struct Args {
     pub force: bool,
 }
 
-/// An answer, and what the report draws of it.
+/// An answer, with the data that the report draws.
 struct ReportedAnswer {
     answer: Answer,
     looked_at: Analysed,
-    /// Where the loop is in the plant, from the configuration.
+    /// The loop's area and equipment, from the configuration.
     place: LoopContext,
 }
 
@@ -185,17 +185,17 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(if data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
 
-/// Where answers go.
+/// Prints the answers and collects them for the report.
 struct OutputWriter {
     format: Format,
     report: Option<ReportFile>,
     summary: Summary,
-    /// Whether one table replaces the text of each loop.
+    /// Whether one table replaces the texts of the loops.
     table: bool,
     /// Whether the log-odds are printed.
     explain: bool,
     done: usize,
-    /// With `--plant`, the answers until all are there.
+    /// With `--plant`, the answers held back until all are there.
     waiting: Option<Vec<ReportedAnswer>>,
 }
 
@@ -214,7 +214,7 @@ impl OutputWriter {
         Ok(())
     }
 
-    /// With `--plant`, the groups, after the answers that waited for them.
+    /// With `--plant`, prints the held answers and then the groups.
     fn judge_together(&mut self) -> anyhow::Result<Option<Vec<GroupDocument>>> {
         let Some(mut waiting) = self.waiting.take() else { return Ok(None) };
         let mut plant: Vec<OfPlant> = waiting
@@ -241,7 +241,7 @@ impl OutputWriter {
         Ok(())
     }
 
-    /// Takes what one of several loops gave.
+    /// Takes the result of one of several loops.
     fn take_one_of_many(&mut self, answer: anyhow::Result<ReportedAnswer>) -> anyhow::Result<()> {
         match answer {
             Ok(answer) => self.take(answer),
@@ -255,7 +255,7 @@ impl OutputWriter {
     }
 }
 
-/// The loops of one file, side by side; whether data was lost.
+/// Analyses the loops of one file in parallel; true if data was lost.
 fn one_file(args: &Args, unit: &Unit, desk: &mut OutputWriter) -> anyhow::Result<bool> {
     let loaded = args.reading.load(unit)?;
     loaded.warnings.iter().for_each(|warning| desk.warn(warning.clone()));
@@ -289,7 +289,7 @@ fn one_file(args: &Args, unit: &Unit, desk: &mut OutputWriter) -> anyhow::Result
     Ok(loaded.data_loss)
 }
 
-/// Refuses loops of which none has enough samples.
+/// Refuses the input if no loop has enough samples.
 fn check_samples(place: &str, loops: &[&LoadedLoop]) -> anyhow::Result<()> {
     let most = loops.iter().map(|l| usable(&l.samples)).max().unwrap_or(0);
     if most < MIN_SAMPLES {
@@ -300,7 +300,7 @@ fn check_samples(place: &str, loops: &[&LoadedLoop]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What one of several files gave.
+/// Results from one of several files.
 struct OfFile {
     name: String,
     recognised: Option<Recognised>,
@@ -309,7 +309,7 @@ struct OfFile {
     answers: Vec<anyhow::Result<ReportedAnswer>>,
 }
 
-/// Files side by side, each let go before the next is read; whether data was lost.
+/// Analyses several files, each freed before the next is read; true if data was lost.
 fn files(args: &Args, units: &[Unit], desk: &mut OutputWriter) -> anyhow::Result<bool> {
     let place = named(&args.input);
     let (mut data_loss, mut answered) = (false, 0);
@@ -347,7 +347,7 @@ fn files(args: &Args, units: &[Unit], desk: &mut OutputWriter) -> anyhow::Result
     Ok(data_loss)
 }
 
-/// Every loop of one of several files; those of another name than was asked for are passed over.
+/// Every loop of one of several files; with `--loop`, other loops are skipped.
 fn of_file(args: &Args, unit: &Unit, bar: &ProgressBar) -> anyhow::Result<OfFile> {
     let loaded: Loaded = unit.load(&args.reading.options())?;
     let config = config_of(&unit.paths)?;
@@ -415,7 +415,7 @@ fn scored(path: &Path, record: &Record, period_points: Option<f64>) -> anyhow::R
     Scored::of(&name, &file, record, period_points).with_context(|| name.clone())
 }
 
-/// The loop's settings with the options of the command line.
+/// The loop's settings, overridden by the command line.
 const fn asked(args: &Args) -> FitOverrides {
     FitOverrides {
         op_range: args.op_range,

@@ -1,4 +1,4 @@
-//! `analyze --report`: where it goes and what it is, a page or pictures alone.
+//! `analyze --report`: path and kind of the report, a page or pictures alone.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use crate::report::maker::Maker;
 use crate::report::{page, sheet};
 use crate::runtime::cores::Watch;
 
-/// The kinds of report, by the file's ending.
+/// Kind of report, by file extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Html,
@@ -23,11 +23,11 @@ enum Kind {
 pub(super) struct ReportFile {
     path: PathBuf,
     kind: Kind,
-    /// What it will show.
+    /// Builds its content.
     pub maker: Maker,
 }
 
-/// How many loops' pictures are made.
+/// Shows how many loops have their pictures.
 struct Bar(ProgressBar);
 
 impl Watch for Bar {
@@ -43,7 +43,7 @@ impl Watch for Bar {
 }
 
 impl ReportFile {
-    /// Checks where a report shall go before any work is done. `all` asks for every loop in full.
+    /// Checks the path before any work is done. `all` asks for every loop in full.
     pub(super) fn new(path: &Path, all: bool, force: bool, units: [Option<String>; 2]) -> anyhow::Result<Self> {
         let kind = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
             Some("html" | "htm") => Kind::Html,

@@ -1,14 +1,14 @@
-//! The page in somebody's browser.
+//! Opens the page in the user's browser.
 
 use std::net::{SocketAddr, TcpStream};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// Looks whether the page is there yet, and the pause between two.
+/// Checks whether the page is up, and the pause between them.
 const LOOKS: u32 = 50;
 const PAUSE: Duration = Duration::from_millis(200);
 
-/// Opens the page once something listens there, without waiting for it.
+/// Opens the page as soon as something listens there, without blocking.
 pub(super) fn open_once_there(address: SocketAddr) {
     std::thread::spawn(move || {
         let there = (0..LOOKS).any(|_| {
@@ -21,7 +21,7 @@ pub(super) fn open_once_there(address: SocketAddr) {
     });
 }
 
-/// Shows the page in a browser where there is a desktop; the address is printed in any case.
+/// Opens the page in a browser if there is a desktop; the address is printed in any case.
 pub(super) fn open(url: &str) {
     let program = if cfg!(target_os = "macos") {
         "open"
@@ -33,7 +33,7 @@ pub(super) fn open(url: &str) {
     let mut command = Command::new(program);
     command.arg(url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     match command.spawn() {
-        // Somebody has to hear of its end.
+        // Wait for the process, so that it does not remain a zombie.
         Ok(mut child) => drop(std::thread::spawn(move || child.wait())),
         Err(error) => tracing::info!("no browser could be opened ({program}: {error}); open the address yourself"),
     }

@@ -162,7 +162,7 @@ fn from_tables(args: &NewArgs) -> anyhow::Result<Vec<CompactLoop>> {
     Ok(loops)
 }
 
-/// Applies the options given for the `k`-th file or loop.
+/// Applies the options for the `k`-th file or loop.
 fn said(args: &NewArgs, k: usize, alone: bool, one: &mut CompactLoop) -> anyhow::Result<()> {
     if let Some(text) = given(&args.start, k, true) {
         let start_ns =
@@ -193,7 +193,7 @@ fn from_file(args: &NewArgs, path: &Path, ts_s: Option<f64>) -> anyhow::Result<V
     }
     let mut loaded = args.reading.load_file(path);
     if let (Err(FileError::Export { .. }), Some(_), None) = (&loaded, ts_s, &args.reading.time_format) {
-        // With --ts the table's own times do not count, so no doubt can be about them.
+        // With --ts the table's own times are ignored, so doubts about them do not matter.
         let reading = ReadArgs { time_format: TimeFormat::parse("s").ok(), ..args.reading.clone() };
         loaded = reading.load_file(path).or(loaded);
     }
@@ -363,7 +363,7 @@ fn repeat<T>(
     }
 }
 
-/// Numbers as people and MATLAB write them.
+/// Parses numbers as typed by people or copied from MATLAB.
 fn numbers(text: &str) -> Result<Vec<f64>, String> {
     let inside = text.trim_matches(|c| "[]();'".contains(c));
     let words = inside.split(|c: char| c.is_whitespace() || ",;".contains(c)).filter(|w| !w.is_empty());

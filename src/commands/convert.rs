@@ -22,7 +22,7 @@ use stiction_files::partition;
 use stiction_files::transfer::write_loops;
 use stiction_files::{Loaded, LoadedLoop, METADATA_PREFIX, csv};
 
-/// Prefix of topics made from tables, which have none.
+/// Prefix of the topics for tables, which have no prefix.
 const PREFIX: &str = "plant";
 
 /// Most names listed in a message.
@@ -66,7 +66,7 @@ pub(super) fn resample(text: &str) -> Result<f64, String> {
     compact::check_sampling_time(seconds)
 }
 
-/// What OUT names.
+/// What OUT names: one file or a folder.
 enum Target {
     Csv(PathBuf),
     Mcap(PathBuf),
@@ -310,7 +310,7 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // Gone already where it has become the real file.
+        // If it was renamed, there is nothing to remove.
         let _ = fs::remove_file(&self.path);
     }
 }

@@ -1,4 +1,4 @@
-//! `stictiond test --write`: expectations made from data, of what a configuration reports on it now.
+//! `stictiond test --write`: writes expectations from what a configuration now reports for given data.
 
 use std::fmt::Write as _;
 use std::path::{Component, Path, PathBuf};
@@ -13,18 +13,18 @@ use stiction::core::units::significant;
 use stiction_engine::config::Config;
 use stiction_files::LoadedLoop;
 
-/// How far a size may go either way, as a share.
+/// Relative tolerance of a size in either direction.
 const BAND: f64 = 0.1;
 
 /// A loop of an input.
 struct LoopOf<'a> {
     input: &'a Path,
     one: &'a LoadedLoop,
-    /// Whether a case must name it.
+    /// Whether a case must state the loop's name.
     is_named: bool,
 }
 
-/// Writes a case for each loop that the configuration watches; gives their number.
+/// Writes a case for each loop covered by the configuration; returns their number.
 ///
 /// # Errors
 /// The data cannot be read, or the file exists or cannot be written.
@@ -100,7 +100,7 @@ fn case(of: &LoopOf<'_>, heard: &Heard, folder: &Path) -> anyhow::Result<String>
     Ok(text)
 }
 
-/// A path as it is written in a file of this folder.
+/// A path relative to a folder.
 fn relative(path: &Path, folder: &Path) -> anyhow::Result<String> {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let [path, folder] = [path, folder].map(|one| one.canonicalize().with_context(|| one.display().to_string()));

@@ -1,10 +1,10 @@
-//! Many loops at once: each by its line in one table, instead of a page of text.
+//! Many loops at once: one line each in a table instead of a page of text.
 
 use stiction::core::units::{duration, format_rfc3339, is_date, s_from_ns};
 use stiction::core::verdict::Verdict;
 use stiction_engine::analysis::Answer;
 
-/// Loops from which text gives the table alone.
+/// Number of loops from which the text output is only the table.
 pub(super) const MANY: usize = 12;
 
 /// One loop or section.
@@ -22,14 +22,14 @@ struct Row {
     end: String,
 }
 
-/// Findings in many loops.
+/// Results of many loops.
 #[derive(Debug, Default)]
 pub(super) struct Summary {
     rows: Vec<Row>,
     failed: usize,
 }
 
-/// The end of a window: a date, or the time since the start on a clock of the record's own.
+/// The end of a window: a date, or the time since the start if the record has no dates.
 fn end(ns: i64) -> String {
     if is_date(ns) { format_rfc3339(ns) } else { format!("after {}", duration(s_from_ns(ns))) }
 }

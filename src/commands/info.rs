@@ -60,7 +60,7 @@ struct LoopInfo {
     comment: Option<String>,
     signals: BTreeMap<&'static str, SignalInfo>,
     results: BTreeMap<&'static str, u64>,
-    /// First and last row as understood.
+    /// First and last row as interpreted.
     rows: Vec<String>,
     #[serde(skip)]
     stamps: BTreeMap<&'static str, Vec<i64>>,
@@ -73,7 +73,7 @@ struct Info {
     kind: &'static str,
     /// Format recognised in an export.
     recognised: Option<String>,
-    /// What each of its columns or tags is read as.
+    /// Role assigned to each of its columns or tags.
     columns: Vec<String>,
     bytes: u64,
     /// Bytes per raw sample of a recording, results and index included.
@@ -243,7 +243,7 @@ fn of_table(args: &InfoArgs, unit: &Unit, kind: InputKind) -> anyhow::Result<Inf
     }
     info.close();
     for (one, ts_s) in info.loops.iter_mut().zip(sampling) {
-        // In a compact store the sampling time is said, not seen.
+        // In a compact store the sampling time is stated, not derived from timestamps.
         one.ts_s = ts_s.or(one.ts_s);
     }
     if loaded.data_loss {
@@ -253,7 +253,7 @@ fn of_table(args: &InfoArgs, unit: &Unit, kind: InputKind) -> anyhow::Result<Inf
     Ok(info)
 }
 
-/// The first and the last row of a table, as understood.
+/// The first and last row of a table as interpreted.
 fn first_and_last(samples: &[Sample]) -> Vec<String> {
     let times = || samples.iter().map(|sample| sample.t_ns);
     let row = |t_ns: i64| {
@@ -267,7 +267,7 @@ fn first_and_last(samples: &[Sample]) -> Vec<String> {
     times().min().into_iter().chain(times().max()).map(row).collect()
 }
 
-/// Where a channel's messages are counted.
+/// Where to count the messages of a channel.
 #[derive(Clone, Copy)]
 enum Counted {
     Raw(usize, Signal),

@@ -1,4 +1,4 @@
-//! `stictiond replay --config`: recordings judged under another configuration, and what that changes.
+//! `stictiond replay --config`: judges recordings under another configuration and reports the differences.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -19,9 +19,9 @@ use stiction_engine::config::{Config, ConfigChanges};
 use stiction_files::RecordingReader;
 use stiction_files::run::RunMetadata;
 
-/// Newest windows that are kept of a loop, to say why there is no alarm.
+/// Newest windows kept of a loop, to explain why there is no alarm.
 const RECENT: usize = 64;
-/// Changes of an alarm that one line lists.
+/// Most alarm changes listed in one line.
 const LISTED: usize = 4;
 
 /// A change of an alarm.
@@ -31,31 +31,31 @@ struct AlarmChange {
     active: bool,
 }
 
-/// What one configuration makes of a loop.
+/// Results of a loop under one configuration.
 #[derive(Default)]
 struct Judged {
     windows: u64,
-    /// Verdicts by the end of their windows that have found no window of the other side yet.
+    /// Verdicts by the end of their windows, for windows that the other side does not have yet.
     unpaired: BTreeMap<i64, String>,
     newest: Option<Value>,
     recent: VecDeque<Assessment>,
     alarm: Vec<AlarmChange>,
 }
 
-/// A loop under the recorded configuration and under the other one.
+/// A loop under the recorded and the other configuration.
 #[derive(Default)]
 struct Compared {
     before: Judged,
     after: Judged,
     common: u64,
-    /// Windows by the verdicts before and after, where they differ.
+    /// Number of windows by verdict before and after, where these differ.
     verdicts: BTreeMap<(String, String), u64>,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// A faulty configuration; no recording there, or it cannot be read.
+/// A faulty configuration; no recording, or one that cannot be read.
 pub(super) fn run(input: &Path, config: &Path, format: Format) -> anyhow::Result<Outcome> {
     let (_, other) = config_file(config)?;
     let files: Vec<PathBuf> = chains_of(input)?.into_iter().flatten().collect();
@@ -113,14 +113,14 @@ impl Judged {
         self.alarm.last().is_some_and(|change| change.active)
     }
 
-    /// The newest window in a few words.
+    /// The newest window, in a few words.
     fn newest(&self) -> String {
         let Some(newest) = &self.newest else { return "no window".to_owned() };
         let s = newest["s"].as_f64().map_or_else(String::new, |s| format!(", s {}", stiction::core::people::size(s)));
         format!("{}{s}", verdict(newest))
     }
 
-    /// Changes of the alarm, in a few words.
+    /// The alarm's changes, in a few words.
     fn told(&self) -> String {
         let raised = self.alarm.iter().filter(|change| change.active).count();
         if raised == 0 {
@@ -149,7 +149,7 @@ impl Judged {
     }
 }
 
-/// A window's verdict, and why it has none.
+/// A window's verdict, and the reason if there is none.
 fn verdict(document: &Value) -> String {
     let verdict = document["verdict"].as_str().unwrap_or("?");
     match document["reason"].as_str().filter(|_| document["stiction"].is_null()) {
@@ -159,7 +159,7 @@ fn verdict(document: &Value) -> String {
 }
 
 impl Compared {
-    /// Compares the windows that both sides have by now, and forgets those that one side will not get any more.
+    /// Compares the windows that both sides now have, and drops those that one side will not get.
     fn pair(&mut self) {
         let [before, after] = [&mut self.before.unpaired, &mut self.after.unpaired];
         let last = |of: &BTreeMap<i64, String>| of.keys().next_back().copied().unwrap_or(i64::MIN);
@@ -200,7 +200,7 @@ impl Told<'_> {
         self.other.input.discover || self.other.loop_named(name).is_some()
     }
 
-    /// Why a loop has no alarm under the other configuration; none where it has one.
+    /// Why a loop has no alarm under the other configuration; `None` if it has one.
     fn why(&self, name: &str, of: &Compared) -> Option<String> {
         if !self.is_watched(name) {
             return Some("the configuration does not watch this loop".to_owned());

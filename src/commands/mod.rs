@@ -109,7 +109,7 @@ impl Cli {
     const fn default_filter(&self) -> &'static str {
         match (&self.command, self.output.format) {
             (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stiction_engine::alarm=off",
-            // The daemon itself says which listener or router is missing, without paths of sources.
+            // The daemon itself reports a missing listener or router, without source paths.
             _ => "info,zenoh=warn,zenoh::net::runtime::orchestrator=error",
         }
     }

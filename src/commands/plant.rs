@@ -2,7 +2,7 @@
 
 use stiction::core::plantwide::{GroupDocument, text};
 
-/// Every group, and how many loops are in none.
+/// All groups, and the number of loops in none.
 pub(super) fn groups_text(groups: &[GroupDocument], loops: usize) -> String {
     if groups.is_empty() {
         return format!("\nOf {loops} loops no two share an oscillation: each loop's own answer counts.");

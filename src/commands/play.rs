@@ -18,17 +18,17 @@ use stiction_engine::codec::encode_recorded;
 use stiction_engine::codec::topic;
 use stiction_files::LoadedLoop;
 
-/// Messages per second at `--speed max`: a rate that a daemon takes without loss.
+/// Messages per second at `--speed max`: a rate that a daemon can process without loss.
 const MAX_RATE: f64 = 20_000.0;
-/// Windows that a daemon may have to judge before `--speed max` waits for it: it gives windows up beyond 1,024.
+/// Windows waiting in a daemon at which `--speed max` waits for it: beyond 1,024 the daemon drops windows.
 const WAITING: f64 = 256.0;
-/// Shortest time between two windows of a loop that is expected at first, s: the default of `[window] every_s`.
+/// Shortest interval between a loop's windows that is assumed at first, s: the default of `[window] every_s`.
 const HOP_S: f64 = 600.0;
-/// Pause between two looks at the daemons, and how long one may take to answer.
+/// Pause between two health queries to the daemons, and how long one may take to answer.
 const LOOK: Duration = Duration::from_secs(1);
 /// Time limit for a subscriber to show.
 const SUBSCRIBER_WITHIN: Duration = Duration::from_secs(10);
-/// How long the end waits until all is sent.
+/// How long to wait at the end until everything is sent.
 const CLOSE_WITHIN: Duration = Duration::from_secs(60);
 
 /// Publish the samples of recordings, tables and exports on Zenoh, in place of a gateway.
@@ -59,7 +59,7 @@ pub struct Args {
 pub enum Speed {
     /// A multiple of real time.
     Times(f64),
-    /// As fast as a daemon is sure to follow.
+    /// As fast as a daemon can certainly follow.
     Max,
 }
 
@@ -73,10 +73,10 @@ fn speed(text: &str) -> Result<Speed, String> {
     }
 }
 
-/// Waits until something subscribes to samples below the prefix; says so where nothing does.
+/// Waits until something subscribes to samples below the prefix; prints a warning if nothing does.
 ///
 /// # Errors
-/// The prefix is no key.
+/// The prefix is not a valid key.
 pub async fn wait_for_subscriber(session: &zenoh::Session, prefix: &str) -> anyhow::Result<()> {
     let key = format!("{prefix}/**");
     let publisher = session.declare_publisher(&key).await.map_err(|e| anyhow!("{key}: {e}"))?;
@@ -167,12 +167,12 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
 
-/// Waits until a daemon below the prefix has taken what was sent: its answer to a question that follows the samples on the same
-/// way says so. To close the session is not enough: what a receiver that is busy leaves for some seconds is then thrown away.
-/// False where it does not answer in time; where no daemon is there, nothing can be known.
+/// Waits until a daemon below the prefix has processed what was sent, as shown by its answer to a query that follows the
+/// samples on the same path. Closing the session is not enough: it discards what a receiver that is busy for some seconds has
+/// not taken yet. False if the daemon does not answer in time. Without a daemon, nothing can be known.
 ///
 /// # Errors
-/// The prefix is no key.
+/// The prefix is not a valid key.
 async fn all_taken(session: &zenoh::Session, prefix: &str) -> anyhow::Result<bool> {
     let key = topic::plane(prefix, "@daemon/*/health");
     let asked = session.get(&key).congestion_control(CongestionControl::Block).timeout(CLOSE_WITHIN);
@@ -222,11 +222,11 @@ async fn publish(
     Ok(bar.position())
 }
 
-/// How far `--speed max` runs before it waits for the daemons.
+/// Limits how far `--speed max` runs ahead of the daemons.
 struct Pace {
     /// Plant time between two waits, s.
     slice_s: f64,
-    /// Where the present slice begins.
+    /// Start of the current slice.
     from_ns: Option<i64>,
 }
 
@@ -238,7 +238,7 @@ impl Pace {
             return;
         }
         self.from_ns = Some(t_ns);
-        // A health document of after the slice: the one at hand may be of before.
+        // Wait for a health document made after the slice, since the current one may be older.
         let Some(asked) = Daemons::of(session, prefix).await else { return };
         let mut most = 0;
         loop {
@@ -260,16 +260,16 @@ impl Pace {
 /// Health of the daemons below a prefix.
 #[derive(Default)]
 struct Daemons {
-    /// Windows that wait, of the daemon that has most.
+    /// Waiting windows of the daemon that has the most.
     fits: u64,
-    /// Windows that got no answer so far.
+    /// Windows left without an answer so far.
     skipped: u64,
     /// Age of the youngest daemon, which tells a new document from an old one.
     uptime_s: f64,
 }
 
 impl Daemons {
-    /// None where no daemon answers.
+    /// `None` if no daemon answers.
     async fn of(session: &zenoh::Session, prefix: &str) -> Option<Self> {
         let key = topic::plane(prefix, "@daemon/*/health");
         let replies = session.get(&key).timeout(LOOK).await.ok()?;
@@ -290,7 +290,7 @@ impl Daemons {
     }
 }
 
-/// Windows that got no answer so far because a daemon's machine was too busy; none where no daemon answers.
+/// Windows left without an answer so far because a daemon was too busy; `None` if no daemon answers.
 async fn skipped_fits(session: &zenoh::Session, prefix: &str) -> Option<u64> {
     Daemons::of(session, prefix).await.map(|daemons| daemons.skipped)
 }

@@ -63,7 +63,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 }
 
 fn one(path: &Path, out: &Path, force: bool, format: Format) -> anyhow::Result<Outcome> {
-    // Written over while it is read, a recording would be lost to the command that is to save it.
+    // Writing over the recording while reading it would destroy what the command should rescue.
     if let (Ok(read), Ok(written)) = (std::fs::canonicalize(path), std::fs::canonicalize(out))
         && read == written
     {

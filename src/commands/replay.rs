@@ -50,7 +50,7 @@ pub struct Args {
 struct Totals {
     files: usize,
     compared: usize,
-    /// Groups whose loops are not all in the recordings that were replayed together.
+    /// Groups with loops that are not all in the recordings replayed together.
     unchecked: usize,
     cut: bool,
 }
@@ -58,7 +58,7 @@ struct Totals {
 /// Runs the command.
 ///
 /// # Errors
-/// No recording of this program there, a file it needs is missing, or it cannot be read.
+/// No recording of this program, a required file is missing, or a file cannot be read.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if let Some(config) = &args.config {
         return crate::commands::judge::run(&args.input, config, format);
@@ -99,12 +99,12 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(if totals.cut { Outcome::DataLoss } else { Outcome::Done })
 }
 
-/// A number of things.
+/// A count with its noun.
 fn counted(count: usize, thing: &str) -> String {
     if count == 1 { format!("1 {thing}") } else { format!("{count} {thing}s") }
 }
 
-/// Replays the files of one run, and before them as much of the earlier files as their windows need.
+/// Replays the files of one run, after as much of the earlier files as their windows need.
 fn replay_chain(
     args: &Args,
     format: Format,

@@ -37,12 +37,12 @@ pub struct Args {
     pub health_every_s: Option<f64>,
 }
 
-/// How Zenoh shares its work among threads, which it reads from the environment alone, before its first thread. Connections
-/// are accepted by the thread that also sends those away that are too many: on two threads the one runs ahead of the other,
-/// and what waits between them takes all descriptors.
+/// Assigns Zenoh's tasks to threads, which Zenoh reads from the environment before its first thread starts. One thread both
+/// accepts connections and closes those beyond the limit: on two threads the first could run ahead of the second, and the
+/// connections between them would use up all descriptors.
 const ZENOH_THREADS: [&str; 2] = ["ZENOH_RUNTIME", "(acc:(handover:net))"];
 
-/// Starts this program again with the setting, in place of itself. Where that cannot be done it goes on without.
+/// Replaces this process by the same program with the setting. If that fails, continues without it.
 fn share_zenoh_threads() {
     let [name, value] = ZENOH_THREADS;
     let (mut args, program) = (std::env::args_os(), std::env::current_exe());
@@ -54,13 +54,13 @@ fn share_zenoh_threads() {
     tracing::warn!(%error, "cannot start with {name}={value}: set it in the environment");
 }
 
-/// Reads a number of seconds that a timer takes.
+/// Parses a number of seconds for a timer.
 fn seconds(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|s| (0.01..=3600.0).contains(s));
     number.ok_or_else(|| "write a number of seconds from 0.01 to 3600".to_owned())
 }
 
-/// Reads `--shard`.
+/// Parses `--shard`.
 fn shard_of(text: &str) -> Result<Shard, String> {
     Shard::parse(text).ok_or_else(|| "write INDEX/COUNT, such as 0/3, with INDEX below COUNT".to_owned())
 }
@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             health_every: args.health_every_s.map_or(HEALTH_EVERY, Duration::from_secs_f64),
             ..RunOptions::of("run", crate::web::serve)
         };
-        // Before anything else: a daemon that is asked to stop while it starts ends in order too.
+        // First of all, so that a daemon that is stopped while it starts also shuts down in order.
         let stop = asked_to_stop()?;
         crate::daemon::run(config, text, options, stop).await
     })?;

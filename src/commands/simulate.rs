@@ -1,4 +1,4 @@
-//! `stictiond simulate`: a recording of a simulated plant, as the daemon would make it.
+//! `stictiond simulate`: records a simulated plant as the daemon would.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -82,7 +82,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     let run = RunInfo {
         prefix: config.site.prefix.clone(),
-        // The same scenario and model give the same file, to the byte.
+        // The same scenario and model give the same file, byte for byte.
         run_id: short_hash(format!("{text}\n{config_text}{}", model_text(args)?).as_bytes())[..8].to_owned(),
         started_ns: scenario.start_ns(),
         run_number: None,
@@ -126,7 +126,7 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     let wrong = || path.display().to_string();
     check_model(&model).with_context(wrong)?;
     let Parts { stroke, actuator, load, on_pv } = parts(&model, scenario.run.ts_s).with_context(wrong)?;
-    // The scenario's process rests elsewhere than the model's.
+    // The scenario's process has a different operating point from the model's.
     let (actuator, slope) = actuator.counted_from(spec.operating_point.op);
     (spec.valve.stroke, spec.valve.actuator) = (stroke, actuator);
     spec.disturbance.load.extend(load);
@@ -188,7 +188,7 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
                         let at_ns = request.record.end_ns;
                         (id, Kind::Input, at_ns, to_json(&RecordedInput::GapSkip { number, reason }))
                     }
-                    // Recordings of simulated loops have no groups: each scenario is a separate plant.
+                    // Recordings of simulated loops have no groups: each scenario counts as a separate plant.
                     Event::Window(..) => continue,
                     Event::Gap(id, d) => (id, Kind::Gap, d.end_ns(), to_json(&d)),
                     Event::Estimate(id, d) => (id, Kind::Estimate, d.assessment.window.end_ns, to_json(&d)),

@@ -116,7 +116,8 @@ pub fn run(
     Ok(Some(solver::document(name, &solved, &mut surface, &settings, found, estimate_mse, elapsed_ms)))
 }
 
-/// A running program; killed on drop with every program that it started: one that goes on holds standard error open.
+/// A running program. On drop it is killed with every program that it started, since any survivor would hold standard error
+/// open.
 struct Program {
     child: Child,
     lines: Receiver<std::io::Result<String>>,
@@ -124,7 +125,7 @@ struct Program {
 
 impl Drop for Program {
     fn drop(&mut self) {
-        // Gone already where it ended by itself.
+        // If it has exited by itself, this has no effect.
         #[cfg(target_os = "linux")]
         if let Some(group) = i32::try_from(self.child.id()).ok().and_then(rustix::process::Pid::from_raw) {
             let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
@@ -174,7 +175,7 @@ fn converse(
         "constraints": ["fd <= fs", "fs + fd <= s0"], "evaluations": settings.budget, "seed": settings.seed,
         "estimate": own.map(|(fs, fd)| json!({"fs": fs, "fd": fd})),
     });
-    // A program that does not read notices when it is ended.
+    // If the program does not read, this is noticed when it ends.
     let mut open = writeln!(input, "{task}").and_then(|()| input.flush()).is_ok();
     let mut best = Outcome::nothing();
     loop {

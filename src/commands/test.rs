@@ -1,4 +1,4 @@
-//! `stictiond test`: runs the daemon's engine on known data and compares what it reports at the end with what is expected.
+//! `stictiond test`: runs the daemon's engine on known data and compares its last reports with expectations.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ use stiction_engine::expectations::{Case, Difference, Found, parse};
 use stiction_files::export::{Map, Zone};
 use stiction_files::{LoadedLoop, choose_loop};
 
-/// File of the expectations, beside the configuration.
+/// Name of the file of expectations, next to the configuration.
 const USUAL: &str = "expectations.toml";
 
 /// Check what a configuration reports on known data: run the daemon's engine on recordings, tables and simulated plants,
@@ -64,13 +64,13 @@ pub struct Args {
     pub reading: ReadArgs,
 }
 
-/// A case and the file that it is from.
+/// A case and its file.
 struct FiledCase<'a> {
     file: &'a Path,
     case: &'a Case,
 }
 
-/// Data that is read once: a path, and how it is read.
+/// Data that is read once: a path, and how to read it.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Input {
     path: PathBuf,
@@ -79,7 +79,7 @@ pub(super) struct Input {
 }
 
 impl Input {
-    /// A path that is read as it is.
+    /// A path without reading options.
     pub(super) fn of(path: &Path) -> Self {
         Self { path: path.to_owned(), map: None, tz: None }
     }
@@ -92,28 +92,28 @@ impl FiledCase<'_> {
     }
 }
 
-/// Newest windows that are kept of a loop.
+/// Newest windows kept of a loop.
 const RECENT: usize = 64;
 
 /// The engine's reports of a loop.
 #[derive(Clone, Default)]
 pub(super) struct Heard {
     pub(super) found: Found,
-    /// Why the alarm is not active; none where it is.
+    /// Why the alarm is not active; `None` if it is.
     why_no_alarm: Option<String>,
 }
 
-/// How a case ended.
+/// Result of a case.
 struct Tested {
-    /// Its place among the cases.
+    /// Its index among the cases.
     at: usize,
-    /// Findings, and the expectations that do not hold.
+    /// The last reports, and the expectations that do not hold.
     result: anyhow::Result<(Heard, Vec<Difference>)>,
     /// Whether its recording is damaged.
     data_loss: bool,
 }
 
-/// Number of cases by how they ended.
+/// Number of cases by result.
 #[derive(Default)]
 struct Totals {
     hold: usize,
@@ -122,10 +122,10 @@ struct Totals {
     data_loss: bool,
 }
 
-/// Runs the command. A case whose data cannot be read does not end it.
+/// Runs the command. A case whose data cannot be read does not stop the others.
 ///
 /// # Errors
-/// A faulty configuration or file of expectations; no case of the name.
+/// A faulty configuration or file of expectations; no case of that name.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let (_, config) = config_file(&args.config).map_err(usage)?;
     if let Some(out) = &args.write {
@@ -158,7 +158,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(totals.outcome())
 }
 
-/// The request is at fault, not the work: exit 2.
+/// An error in the request, not in the work: exit 2.
 fn usage(error: anyhow::Error) -> anyhow::Error {
     UsageError(format!("{error:#}")).into()
 }
@@ -169,7 +169,7 @@ fn read_cases(file: PathBuf) -> anyhow::Result<(PathBuf, Vec<Case>)> {
     Ok((file, cases))
 }
 
-/// Every case's result, in their order. Inputs are read once and side by side.
+/// The results of all cases, in order. Each input is read once; inputs run in parallel.
 fn test_all(cases: &[FiledCase<'_>], config: &Config, reading: &ReadArgs) -> anyhow::Result<Vec<Tested>> {
     stop::watch();
     let mut by_input: BTreeMap<Input, Vec<usize>> = BTreeMap::new();
@@ -191,7 +191,7 @@ fn test_all(cases: &[FiledCase<'_>], config: &Config, reading: &ReadArgs) -> any
     Ok(tested)
 }
 
-/// The cases of one input. The engine runs once for each loop and end.
+/// The cases of one input. The engine runs once for each loop and end time.
 fn test_input(
     input: &Input,
     places: &[usize],
@@ -219,7 +219,7 @@ fn test_input(
     places.iter().map(|at| Tested { at: *at, result: test(cases[*at].case), data_loss }).collect()
 }
 
-/// The loops of a scenario or of files, and whether data was lost.
+/// The loops of a scenario or of files; the flag is true if data was lost.
 pub(super) fn load(input: &Input, reading: &ReadArgs) -> anyhow::Result<(Vec<LoadedLoop>, bool)> {
     let Input { path, map, tz } = input;
     if path.extension().is_some_and(|ending| ending == "toml") {
@@ -240,8 +240,8 @@ pub(super) fn load(input: &Input, reading: &ReadArgs) -> anyhow::Result<(Vec<Loa
     Ok((loaded.loops, loaded.data_loss))
 }
 
-/// The loop of a case and the name that it is judged under. A table's only loop is named after the file, so the case may
-/// give it another name.
+/// The loop of a case, and its name in the engine. A table's only loop is named after the file, so the case may give it another
+/// name.
 fn loop_of<'a>(case: &'a Case, path: &Path, loops: &'a [LoadedLoop]) -> anyhow::Result<(&'a str, &'a LoadedLoop)> {
     let named_by_file = |one: &LoadedLoop| path.file_stem().is_some_and(|stem| stem == one.name.as_str());
     match (&case.loop_name, loops) {
@@ -259,7 +259,7 @@ fn loop_of<'a>(case: &'a Case, path: &Path, loops: &'a [LoadedLoop]) -> anyhow::
     }
 }
 
-/// Last report of a loop after its samples up to a time.
+/// The last report on a loop after its samples up to a given time.
 pub(super) fn report_on(
     config: &Config,
     name: &str,
@@ -287,7 +287,7 @@ pub(super) fn report_on(
     Ok(Heard { found, why_no_alarm })
 }
 
-/// The newest window in one line, and why there is no alarm in another.
+/// The newest window in one line, and the reason for no alarm in another.
 fn summary(Heard { found, why_no_alarm }: &Heard) -> Vec<String> {
     let Some(estimate) = &found.estimate else {
         return vec!["no window came due; use longer data, or a shorter [window] every_s".to_owned()];
@@ -323,7 +323,7 @@ fn print(one: &FiledCase<'_>, tested: &Tested, format: Format) -> anyhow::Result
     Ok(())
 }
 
-/// A case and its result for programs.
+/// A case and its result as JSON.
 fn document(one: &FiledCase<'_>, tested: &Tested) -> Value {
     let (result, heard, differences, error) = match &tested.result {
         Ok((heard, differences)) => {

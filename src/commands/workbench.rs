@@ -50,10 +50,10 @@ fn address(text: &str) -> Result<SocketAddr, String> {
     port.or_else(|_| text.parse()).map_err(|_| format!("{text:?} is no address: write 8090 or 127.0.0.1:8090"))
 }
 
-/// Runs the command until somebody stops it.
+/// Runs the command until it is stopped.
 ///
 /// # Errors
-/// The address cannot be used, or no file that was given can be read.
+/// The address cannot be used, or none of the given files can be read.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     limit_memory(args.max_memory)?;
     let bench = Workbench::start();
@@ -73,7 +73,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         bail!("{}", crate::cli::list(&failed));
     }
     failed.iter().for_each(warn);
-    // Times are shown in the zone that the files are said to be from.
+    // Times are shown in the zone that was given for the files.
     let zone = args.reading.tz.as_ref().map_or("UTC", |zone| zone.name()).to_owned();
     block_on(async {
         let stopping = asked_to_stop()?;
@@ -102,7 +102,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Sets the limit of this process's data: an allocation beyond it fails, which ends the program.
+/// Limits this process's data memory: an allocation beyond the limit fails, which ends the program.
 #[cfg(target_os = "linux")]
 fn limit_memory(mib: u64) -> anyhow::Result<()> {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -118,7 +118,7 @@ fn limit_memory(_: u64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The reading options as they were written, for command lines that the page shows.
+/// The reading options as typed, for the command lines shown on the page.
 fn words() -> ReadingWords {
     let mut words = ReadingWords::default();
     let matches = crate::commands::Cli::command().get_matches();
@@ -126,7 +126,7 @@ fn words() -> ReadingWords {
     for name in OPTIONS {
         let value = given.get_raw(name).and_then(|mut values| values.next());
         if let Some(value) = value {
-            // They were understood when the command line was read.
+            // They were already checked when the command line was parsed.
             let _ = words.set(name, &value.to_string_lossy());
         }
     }

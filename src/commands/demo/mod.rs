@@ -1,4 +1,4 @@
-//! `stictiond demo`: a simulated plant on the bus and the daemon beside it, in one command.
+//! `stictiond demo`: a simulated plant on the bus and the daemon, in one command.
 
 mod told;
 
@@ -85,7 +85,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if format == Format::Text {
         told::beginning(&scenario, &config, port, SPEED)?;
     }
-    // Whoever reads the output by a program wants no window.
+    // A program that reads the output needs no window.
     if !args.no_open && std::io::stdout().is_terminal() {
         config.web.listen.parse().into_iter().for_each(browser::open_once_there);
     }

@@ -77,7 +77,7 @@ pub(super) fn finding(
     }
     let sticks = d["stiction"] == true;
     let place = |v: &Json, digits: usize| v.as_f64().map_or("-".to_owned(), |x| format!("{x:.digits$}"));
-    // The strongest period of noise is no period of the loop.
+    // In noise, the strongest period is not a period of the loop.
     let period = d["oscillation"]["period_s"].as_f64().filter(|_| d["oscillation"]["oscillating"] == true);
     let band = |v: &Json| if sticks { place(v, 2) } else { "-".to_owned() };
     say(format!(

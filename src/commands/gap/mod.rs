@@ -1,4 +1,4 @@
-//! `stictiond gap`: where the simulation departs from the plant, which effect causes it, how far adding it closes the gap.
+//! `stictiond gap`: where the simulation departs from the plant, which effect causes it, and how far adding it closes the gap.
 
 mod base;
 mod neighbours;
@@ -152,7 +152,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
 
-/// What can be refused before anything is read.
+/// Checks that need no data.
 fn check(args: &Args) -> anyhow::Result<()> {
     for id in &args.without {
         if !effects::ALL.iter().any(|e| e.id == id.as_str()) {
@@ -171,7 +171,7 @@ fn check(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Options of the diagnosis of `windows` windows that share the time.
+/// Options for a diagnosis of `windows` windows that share the time budget.
 fn settings(args: &Args, windows: usize) -> anyhow::Result<GapSettings> {
     Ok(GapSettings {
         base: args.base.as_deref().map_or(Ok(BaseChoice::Refit), base::read)?,
@@ -201,7 +201,7 @@ fn diagnose(
     found.with_context(|| format!("{}: loop {}", args.input(), one.name))
 }
 
-/// How far the search of a loop is.
+/// Shows the progress of a loop's search.
 struct Bar(ProgressBar);
 
 impl Bar {

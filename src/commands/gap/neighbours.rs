@@ -24,16 +24,16 @@ pub struct NeighbourArgs {
     other_loops: bool,
 }
 
-/// The loops that may be offered.
+/// The loops offered as neighbours.
 pub(super) struct Neighbours {
     loops: Vec<LoadedLoop>,
     config: Config,
-    /// Whether each was asked for by name.
+    /// Whether the loops come from files that the user named.
     named: bool,
 }
 
 impl NeighbourArgs {
-    /// Reads them; `input` are the loops of the input.
+    /// Reads them; `input` are the input's loops.
     ///
     /// # Errors
     /// A file cannot be read or has no loop.
@@ -60,10 +60,10 @@ impl NeighbourArgs {
 }
 
 impl Neighbours {
-    /// All but the loop `name` on the grid of its record.
+    /// All loops except `name`, on the grid of its record.
     ///
     /// # Errors
-    /// One that was asked for by its file cannot be offered; others are left out with a warning.
+    /// A loop from a file that the user named cannot be offered; others are left out with a warning.
     pub(super) fn beside(&self, name: &str, record: &Record) -> anyhow::Result<Vec<Neighbour>> {
         let mut out: Vec<Neighbour> = Vec::new();
         for other in self.loops.iter().filter(|other| other.name != name) {

@@ -18,7 +18,7 @@ struct Window {
     section: Section,
 }
 
-/// The windows, with what reading them said.
+/// The windows, and the notes from reading them.
 #[derive(Default)]
 struct Read {
     windows: Vec<Window>,
@@ -26,7 +26,7 @@ struct Read {
     data_loss: bool,
 }
 
-/// Every window of the command line: each section of the loop in each file.
+/// All windows on the command line: each section of the loop in each file.
 fn read(args: &Args) -> anyhow::Result<Read> {
     let mut out = Read::default();
     let mut named: Option<(String, String)> = None;
@@ -40,7 +40,7 @@ fn read(args: &Args) -> anyhow::Result<Read> {
         let [one] = &chosen[..] else {
             bail!("{place}: {} loops; --pool takes windows of one: choose it by --loop", chosen.len());
         };
-        // A table without a name is called after its file.
+        // A table without a loop name is named after its file.
         let stem = unit.paths.first().and_then(|path| path.file_stem());
         if stem.is_none_or(|stem| stem.to_string_lossy() != one.name.as_str()) {
             let (first, at) = named.get_or_insert_with(|| (one.name.clone(), place.clone()));
@@ -65,10 +65,10 @@ fn read(args: &Args) -> anyhow::Result<Read> {
     Ok(out)
 }
 
-/// Diagnoses each window and gives one answer.
+/// Diagnoses each window and gives a single answer.
 ///
 /// # Errors
-/// A file cannot be read, or a window cannot be diagnosed or does not fit the others.
+/// A file cannot be read, or a window cannot be diagnosed or does not match the others.
 pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let read = read(args)?;
     if read.windows.len() < 2 {

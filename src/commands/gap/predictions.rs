@@ -5,7 +5,7 @@ use std::path::Path;
 use stiction::core::units::format_seconds;
 use stiction_engine::analysis::predictions::Row;
 
-/// Writes the rows into a file of another name first: an output is whole or not there.
+/// Writes the rows to a temporary file first, so that the output is complete or absent.
 pub(super) fn write(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
     let mut part = path.to_owned().into_os_string();
     part.push(".part");
