@@ -1,9 +1,9 @@
 //! Joins the signals of one loop by source time into points at the loop's own sampling times.
 //!
-//! Nothing is resampled: a point is at each timestamp of the *driver* (PV, or OP if OP arrives clearly more often), with the
-//! other signals held. Only lost samples are filled in, and only in gaps of at most `max_gap_s`: PV is interpolated linearly,
-//! and so is OP where it is sampled; elsewhere OP is held. The loop's clock is the latest timestamp minus the allowed lateness,
-//! so late and unordered samples are sorted in, independently of other loops and the system clock.
+//! Nothing is resampled: there is a point at each timestamp of the *driver* (PV, or OP if OP arrives clearly more often), with
+//! the other signals held. Only lost samples are filled in, and only in gaps of at most `max_gap_s`: PV is interpolated
+//! linearly, and so is OP if it is sampled; otherwise OP is held. The loop's clock is the latest timestamp minus the allowed
+//! lateness, so late and unordered samples are sorted in, independently of other loops and the system clock.
 
 use std::collections::VecDeque;
 
@@ -29,9 +29,9 @@ const LEARN_LIMIT: usize = 2048;
 const CLOCK_RESET_AFTER: usize = 256;
 /// Consecutive intervals that contradict the sampling time before it is learned again.
 const RELEARN_AFTER: u8 = 16;
-/// Fewest sampling times that one of OP and PV waits for the other, because gateways send them in batches, one after the
-/// other. Twice the longest lead seen is used if longer, up to [`MAX_PATIENCE`], which also applies while one of them has
-/// never arrived.
+/// Fewest sampling times for which one of OP and PV waits for the other, because gateways send them in batches, one after the
+/// other. Twice the longest lead seen is used if longer, up to [`MAX_PATIENCE`], which also applies while one of them has never
+/// arrived.
 const MIN_PATIENCE: f64 = 128.0;
 /// Most sampling times of waiting.
 const MAX_PATIENCE: f64 = 2000.0;
@@ -257,7 +257,7 @@ impl Aligner {
 
     /// Takes one sample.
     pub fn push(&mut self, sample: Sample, params: &AlignParams) {
-        // Half the range of the clock, 1824 to 2116: differences of any two stamps then fit.
+        // Half the range of the clock, 1824 to 2116, so that the difference of any two timestamps fits.
         if sample.t_ns.unsigned_abs() > i64::MAX.unsigned_abs() / 2 {
             self.counts.stamp_outliers += 1;
             return;
@@ -305,7 +305,7 @@ impl Aligner {
         }
         self.counts.late += 1;
         self.note_lead(&sample);
-        // A signal that only comes behind the others has not gone back itself.
+        // A signal that merely lags the others has not gone back itself.
         if self.own_greatest(sample.signal).is_none_or(|own| sample.t_ns >= own) {
             return;
         }
@@ -313,7 +313,7 @@ impl Aligner {
         if self.late_run.len() < CLOCK_RESET_AFTER {
             return;
         }
-        // A gateway that sends a long backlog again looks the same; then the newer stretch is lost, not the daemon.
+        // A gateway that resends a long backlog looks the same; then the newer stretch is lost, but the daemon keeps working.
         let run = std::mem::take(&mut self.late_run);
         let counts = AlignCounts { clock_resets: self.counts.clock_resets + 1, ..self.counts };
         let (sp, mv, mode, lead_ns) = (self.sp, self.mv, self.mode, self.lead_ns);
@@ -335,7 +335,7 @@ impl Aligner {
         self.pending.insert(place, sample);
     }
 
-    /// The latest timestamp of OP or PV; for other signals that of all.
+    /// The latest timestamp of OP or PV; for other signals, the latest of all.
     fn own_greatest(&self, signal: Signal) -> Option<i64> {
         match signal {
             Signal::Op => self.partners_ns[0],
@@ -485,7 +485,7 @@ impl Aligner {
             return;
         }
         if self.op.check_point(t_ns) && Self::is_sampled(params) {
-            // Filled in once the next OP is known, and counted then.
+            // This point is filled in once the next OP is known, and counted then.
             self.bad_since -= u16::from(self.op.is_empty_at(t_ns) && self.bad_since > 0);
             return;
         }
@@ -508,7 +508,7 @@ impl Aligner {
         self.op.restart();
     }
 
-    /// The sampling time has changed: the stretch ends and the new one starts with the last interval.
+    /// Handles a change of the sampling time: the stretch ends and the new one starts with the last interval.
     fn relearn(&mut self, step_s: f64, out: &mut impl FnMut(Aligned)) {
         if let Some((ts_s, _)) = &mut self.learnt {
             *ts_s = step_s.max(1e-9);
@@ -528,7 +528,7 @@ impl Aligner {
     ) {
         let steps = (s_from_ns(t1 - t0) / ts_s).round();
         let (sampled, since_ns) = (Self::is_sampled(params), t0.saturating_sub(ns_from_s(ts_s)));
-        // A hole holds a few hundred lost samples at most: longer ones are gaps unless max_gap_s is extreme.
+        // A gap that is filled has a few hundred lost samples at most, unless max_gap_s is extreme.
         let lost = (steps.max(1.0) as usize - 1).min(10_000);
         for k in 1..=lost {
             let share = k as f64 / (lost + 1) as f64;

@@ -1,4 +1,4 @@
-//! Checks of the aligner: disorder, holes, clocks that jump, values that are missing.
+//! Checks of the aligner: disorder, gaps, clocks that jump, missing values.
 
 use super::align::{AlignParams, Aligner, align_all};
 use crate::core::record::{Sample, Signal, Value};
@@ -91,7 +91,7 @@ fn a_lost_op_lies_between_its_neighbours_unless_op_is_sent_on_change() {
     let (held, counts) = align_all(&samples, &on_change);
     assert_eq!((held[0][25].op, held[0][25].bad, counts.filled), (24.0, 1, 0));
 
-    // OP that comes seldom is held beside a PV that is lost, whatever the setting.
+    // OP that is sent rarely is held where PV is lost, whatever the setting.
     let stairs = |t: usize| t.is_multiple_of(4).then(|| sample(Signal::Op, t as f64, t as f64));
     let seldom: Vec<Sample> = (0..60)
         .flat_map(|t| stairs(t).into_iter().chain((t != 27).then(|| sample(Signal::Pv, t as f64, 1.0))))

@@ -1,11 +1,11 @@
-//! Values that are held over several rows: a historian that samples more slowly than it exports repeats each value as often,
-//! so all changes are the same number of rows apart, or a multiple of it.
+//! Detects values held over several rows: a historian that samples more slowly than it exports repeats each value, so the
+//! distances between changes are multiples of the same number of rows.
 
-/// Fewest changes that show it, and the share of them that must fit.
+/// Fewest changes needed, and the share of them that must fit.
 const FEWEST: usize = 30;
 const FIT: f64 = 0.95;
 
-/// How many rows each value is held; 1 if none is.
+/// Number of rows for which each value is held; 1 if none is held.
 #[must_use]
 pub fn held_over(values: &[f64]) -> usize {
     let changes: Vec<usize> = (1..values.len()).filter(|k| values[*k] != values[*k - 1]).collect();
@@ -37,12 +37,12 @@ mod tests {
             let held: Vec<f64> = (3..1000).map(|k| noise(k / rows)).collect();
             assert_eq!(held_over(&held), rows);
         }
-        // Now and then equal by chance, and a row that is missing.
+        // Occasionally equal by chance, and one row missing.
         let mut few: Vec<f64> = (0..1000).map(|k| (noise(k / 5) / 100.0).round()).collect();
         assert_eq!(held_over(&few), 5);
         few.remove(990);
         assert_eq!(held_over(&few), 5);
-        // A coarse sensor repeats itself at any place.
+        // A coarse sensor repeats its value at irregular distances.
         let coarse: Vec<f64> =
             (0..1000).map(|k| libm::sin(k as f64 / 17.3).mul_add(6.0, noise(k) / 2000.0).round()).collect();
         assert_eq!(held_over(&coarse), 1);

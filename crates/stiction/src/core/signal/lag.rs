@@ -1,9 +1,9 @@
-//! Correlation of two signals, and the delay of one behind the other.
+//! Correlation of two signals, and the delay between them.
 
 use super::detrend::remove_mean;
 use super::stats;
 
-/// Correlation of two series of equal length; 0 where one is constant.
+/// Correlation of two series of equal length; 0 if one is constant.
 #[must_use]
 pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let (a, b) = (remove_mean(a), remove_mean(b));
@@ -11,8 +11,8 @@ pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     if scale > 0.0 { stats::dot(&a, &b) / scale } else { 0.0 }
 }
 
-/// Delay of `pv` behind `op`, 0 to `most` points: where the normalised correlation of `op` with the later `pv` is largest in
-/// magnitude. 0 if either is constant.
+/// Delay of `pv` relative to `op`, 0 to `most` points, at which their normalised correlation is largest in magnitude. 0 if
+/// either is constant.
 #[must_use]
 pub fn of_largest_correlation(op: &[f64], pv: &[f64], most: usize) -> usize {
     let n = op.len().min(pv.len());

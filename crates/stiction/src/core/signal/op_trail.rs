@@ -1,11 +1,11 @@
-//! OP since the last point of a loop: what it was where one of its samples, or one of PV, was lost.
+//! OP since the last point of a loop: provides its value where a sample of OP or PV was lost.
 
 use serde::{Deserialize, Serialize};
 
 /// Values kept between two points.
 const LIMIT: usize = 64;
-/// The score of regularity: a point with a new OP adds one, a point without takes [`ABSENT`] away. At [`REGULAR`] or more, an
-/// absent OP was lost. OP that is sent on change gets there only if it changes at more than four of five points.
+/// Regularity score: a point with a new OP adds one, a point without subtracts [`ABSENT`]. At [`REGULAR`] or more, a missing OP
+/// was lost. OP that is sent on change reaches this only if it changes at more than four of five points.
 const MOST_REGULAR: u8 = 32;
 const REGULAR: u8 = 12;
 const ABSENT: u8 = 4;
@@ -15,12 +15,12 @@ const ABSENT: u8 = 4;
 pub(super) struct OpTrail {
     /// The latest value.
     op: Option<(i64, f64)>,
-    /// That of the last point, and those since.
+    /// OP of the last point and all values since.
     op_trail: Vec<(i64, f64)>,
     /// Latest timestamp at which OP came without a value.
     #[serde(default)]
     op_lost_ns: Option<i64>,
-    /// The score of regularity, at most [`MOST_REGULAR`].
+    /// The regularity score, at most [`MOST_REGULAR`].
     #[serde(default)]
     op_regular: u8,
 }
@@ -50,7 +50,7 @@ impl OpTrail {
         self.op_lost_ns == Some(t_ns)
     }
 
-    /// Notes a point; true if its OP was lost: OP came without a value, or a regular OP did not come.
+    /// Registers a point; returns true if its OP was lost: OP came without a value, or a regular OP did not come.
     pub fn check_point(&mut self, t_ns: i64) -> bool {
         let is_new = |(t_op, _): (i64, f64)| self.op_trail.first().is_none_or(|(before_ns, _)| t_op > *before_ns);
         if self.op.is_some_and(is_new) {
@@ -62,19 +62,19 @@ impl OpTrail {
         is_lost
     }
 
-    /// Starts anew from a point.
+    /// Restarts from a point.
     pub fn restart(&mut self) {
         self.op_trail.clear();
         self.op_trail.extend(self.op);
     }
 
-    /// OP at a time since the last point, as it was held.
+    /// OP held at a time since the last point.
     pub fn held_at(&self, t_ns: i64) -> Option<f64> {
         let after = self.op_trail.partition_point(|(t, _)| *t <= t_ns);
         self.op_trail.get(after.saturating_sub(1)).map(|(_, op)| *op)
     }
 
-    /// OP at a time since the last point, interpolated from a value that came after `since_ns`, else held.
+    /// OP at a time since the last point, interpolated to a value that came after `since_ns`, else held.
     pub fn interpolated_at(&self, t_ns: i64, since_ns: i64) -> Option<f64> {
         let after = self.op_trail.partition_point(|(t, _)| *t <= t_ns);
         let ends = after.checked_sub(1).and_then(|before| Some((self.op_trail[before], *self.op_trail.get(after)?)));

@@ -49,8 +49,8 @@ pub fn boxed(record: &Record, ratio: f64) -> Option<Record> {
     })
 }
 
-/// Every `ratio`-th sample (any number above 1; the latest one at that time); the others are dropped, OP's too. It may alias
-/// and loses OP's moves in between. This is what the toolbox does, for comparison.
+/// Every `ratio`-th sample (any number above 1; the latest one at that time); the others are dropped, OP's too. This may alias
+/// and loses OP's moves in between. The toolbox does this; it is here for comparison.
 ///
 /// `None` as for [`boxed`].
 #[must_use]
@@ -103,7 +103,7 @@ mod tests {
             assert_eq!(record.recorded_ts_s, 2.0, "what was recorded stays");
             let steps: Vec<f64> = record.op_path.windows(2).map(|w| w[1] - w[0]).collect();
             assert!(steps.iter().all(|s| *s == 0.0 || *s == 1.0), "{ratio}");
-            // A ramp stays one, a box's mean apart from the next by the ratio, give or take a step of the grid.
+            // A ramp stays a ramp: bin means differ by the ratio, within a step of the grid.
             for pair in record.pv.windows(2) {
                 assert!((pair[1] - pair[0] - 10.0 * ratio).abs() <= 10.0, "{ratio}: {pair:?}");
             }

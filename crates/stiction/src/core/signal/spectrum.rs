@@ -11,7 +11,7 @@ use super::stats::dot;
 pub(crate) fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
     let longest = x[0].len().max(x[1].len());
     let lags = max_lag.min(longest.saturating_sub(1)) + 1;
-    // Behind the signals there are as many zeros as there are lags, so that none meets its own beginning.
+    // Zero padding by the number of lags keeps the end of a signal from overlapping its beginning.
     let [mut re, mut im] = powers(x, (longest + lags).next_power_of_two().max(2));
     transform(&mut re, &mut im);
     let of = |sums: &[f64], x: &[f64]| match dot(x, x) > 0.0 {
@@ -21,8 +21,8 @@ pub(crate) fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] 
     [of(&re, x[0]), of(&im, x[1])]
 }
 
-/// Power of two signals at the frequencies `k / size` cycles a point, each padded with zeros to `size` (a power of two, at
-/// least the length of both): one transform gives both.
+/// Power of two signals at the frequencies `k / size` cycles per point, each padded with zeros to `size` (a power of two, at
+/// least the length of both); one transform gives both.
 #[must_use]
 pub(crate) fn powers(x: [&[f64]; 2], size: usize) -> [Vec<f64>; 2] {
     let padded = |x: &[f64]| {
@@ -32,7 +32,8 @@ pub(crate) fn powers(x: [&[f64]; 2], size: usize) -> [Vec<f64>; 2] {
     };
     let (mut re, mut im) = (padded(x[0]), padded(x[1]));
     transform(&mut re, &mut im);
-    // The first signal's power as real part and the second's as imaginary one: both are even, so their transforms are real.
+    // Put the first signal's power in the real part and the second's in the imaginary part: both are even, so their transforms
+    // are real.
     for k in 0..=size / 2 {
         let back = (size - k) % size;
         let (a, b) = ([re[k] + re[back], im[k] - im[back]], [im[k] + im[back], re[back] - re[k]]);
@@ -125,11 +126,11 @@ pub(crate) fn split(x: &[f64], edges: &[f64]) -> Vec<Vec<f64>> {
     let n = x.len();
     let mut bands = vec![vec![0.0; n]; edges.len()];
     let turn = 4 * n;
-    // cos(2 pi i / 4n), all that the transform needs.
+    // cos(2 pi i / 4n) for all angles of the transform.
     let table: Vec<f64> = (0..turn).map(|i| libm::cos(core::f64::consts::PI * i as f64 / (2 * n) as f64)).collect();
     let mut index = 0;
     for (band, edge) in bands.iter_mut().zip(edges) {
-        // Frequency `index` is index / 2n cycles a point.
+        // Frequency `index` is index / 2n cycles per point.
         while index < n && (index as f64) < edge * (2 * n) as f64 {
             let angle = |j: usize| table[(index * (2 * j + 1)) % turn];
             let sum: f64 = x.iter().enumerate().map(|(j, v)| v * angle(j)).sum();
@@ -165,7 +166,7 @@ mod tests {
         let plain: Vec<f64> = (0..4).map(|l| (l..4).map(|k| x[k] * x[k - l]).sum::<f64>() / 30.0).collect();
         let found = autocorrelation(&x, 9);
         let both = autocorrelations([&x, &sine(9, 3.0)], 9);
-        // A longer partner makes the transform longer, and rounds otherwise.
+        // A longer partner makes the transform longer, so rounding differs.
         let apart = both[0].iter().zip(&found).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(both[0].len() == found.len() && apart < 1e-12 && both[1].len() == 9, "{both:?}");
         assert!(found.len() == 4 && found.iter().zip(plain).all(|(a, b)| (a - b).abs() < 1e-15), "{found:?}");

@@ -26,7 +26,7 @@ pub fn std_dev(x: &[f64]) -> f64 {
     variance(x).sqrt()
 }
 
-/// Inner product in eight running sums, an order that suits vector units.
+/// Inner product in eight running sums, an order that suits SIMD units.
 ///
 /// Stops at the shorter slice.
 #[must_use]
@@ -201,7 +201,7 @@ pub(crate) fn repeat_share(x: &[f64]) -> f64 {
 /// Number of different values, up to `limit`.
 #[must_use]
 pub(crate) fn levels(x: &[f64], limit: usize) -> usize {
-    // Most signals show many values soon.
+    // Most signals soon show many values.
     let soon = x.len().min(limit.saturating_mul(2));
     let count = different(&x[..soon], limit);
     if count >= limit || soon == x.len() { count } else { different(x, limit) }

@@ -6,7 +6,7 @@ use super::steps::Path;
 /// Fewest values per point with a lag.
 const PARTS: usize = 5;
 
-/// The parts before and behind a stem; times in values of OP.
+/// Dynamics before and behind a stem; times in values of OP.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Actuator {
     /// Time constant of the lag before the stem, values; 0 for none.
@@ -24,7 +24,7 @@ pub struct Actuator {
 }
 
 impl Actuator {
-    /// A stem alone.
+    /// No dynamics: only the stem.
     pub const NONE: Self = Self {
         lag: 0.0,
         rate: f64::INFINITY,
@@ -34,7 +34,7 @@ impl Actuator {
         middle: 0.0,
     };
 
-    /// The actuator's positions in the parts of a value for which OP is held, and its position at the end.
+    /// The actuator's positions during one OP value, at the middle of each part, and its position at the end.
     #[must_use]
     pub(crate) fn drives(&self, drive: f64, op: f64) -> ([f64; PARTS], f64) {
         let step = 1.0 / (self.lag * PARTS as f64).max(1e-3);
@@ -132,7 +132,7 @@ mod tests {
             }
             drive = op + (drive - op) * libm::exp(-1.0 / 2.5);
         }
-        // A point that already has many values gets no more.
+        // A point that already has many values is not divided further.
         let fine = lag_path(&Path::new(op.clone(), 8), 2.5);
         assert_eq!((fine.per_point(), fine.values().len()), (8, op.len()));
     }
@@ -141,11 +141,11 @@ mod tests {
     fn the_parts_behind_a_stem_act_in_their_order() {
         let actuator = Actuator { rate: 2.0, stops: [0.0, 5.0], play: 1.0, bend: 0.1, middle: 3.0, ..Actuator::NONE };
         let mut memory = [1.0, 1.0];
-        // Up by 2 to 3, then by 2 to the stop at 5, each time half the play behind.
+        // Up by 2 to 3, then by 2 to the stop at 5; the flow is half the backlash behind.
         let flows = [9.0, 9.0, 9.0].map(|x| actuator.flow(x, &mut memory));
         let flow = |v: f64| 3.0 + libm::expm1(0.1 * (v - 3.0)) / 0.1;
         assert_eq!(flows, [flow(2.5), flow(4.5), flow(4.5)]);
-        // Counted from elsewhere it is the same curve, but for its gain and a constant.
+        // With another reference point the curve is the same, except for its gain and a constant.
         let (other, gain) = Actuator { bend: 0.1, middle: 3.0, ..Actuator::NONE }.counted_from(7.0);
         let way = |a: Actuator| a.flow(9.0, &mut [9.0; 2]) - a.flow(4.0, &mut [4.0; 2]);
         assert!((gain * way(other) - way(Actuator { bend: 0.1, middle: 3.0, ..Actuator::NONE })).abs() < 1e-12);

@@ -39,28 +39,27 @@ pub struct ValveModel {
     pub travel_min: f64,
     /// OP at the other end, greater than `travel_min`.
     pub travel_max: f64,
-    /// What the stem has beside its law.
+    /// Properties of the stem in addition to its law.
     pub stroke: Stroke,
     /// The parts before and behind the stem.
     pub actuator: Actuator,
-    /// Friction of the physical valve; the laws do without.
+    /// Friction of the physical valve; the laws do not use it.
     pub friction: Friction,
 }
 
-/// Memory of a valve.
+/// State of a valve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stem {
-    /// Position until the next scan (its mean where it creeps in between, the last one where it is driven in parts), OP
-    /// units.
+    /// Position until the next scan, OP units: the mean if the stem creeps in between, the last value if it is driven in parts.
     pub position: f64,
     direction: i8,
     inner: FrictionState,
-    /// Its memory where it has more than a law.
+    /// State of a stem with additional properties.
     moving: Option<slips::Stem>,
-    /// Its mean until the next scan, and what flows behind it, as OP units.
+    /// Mean position until the next scan, and the flow behind the stem, as OP units.
     mean: f64,
     flow: f64,
-    /// The memory of what drives it and of what follows it.
+    /// States of the actuator before the stem and of the parts behind it.
     drive: f64,
     follows: [f64; 2],
 }
@@ -105,7 +104,7 @@ impl ValveModel {
             next.flow = self.actuator.flow(next.mean, &mut next.follows);
             return next;
         }
-        // What drives the stem moves on between two scans; the mean over the scan flows.
+        // The drive changes between two scans; the flow is the mean over the scan.
         let (drives, drive) = self.actuator.drives(stem.drive, op);
         let mut next = Stem { drive, mean: 0.0, ..stem };
         for op in drives {
@@ -166,7 +165,7 @@ pub struct LoopModel {
     pub pv_disturbance: Vec<Disturbance>,
 }
 
-/// The signals of one scan.
+/// Signals of one scan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scan {
     /// Controller output of this scan, OP units.
@@ -203,8 +202,7 @@ impl ClosedLoop {
     ///
     /// Measurement noise uses stream 0 of `seed`, the disturbances the following streams.
     ///
-    /// # Panics
-    /// At the first step, where a lower limit of OP or of the valve's travel lies above the upper one.
+    /// At the first step, if a lower limit of OP or of the valve's travel is above the upper one.
     #[must_use]
     pub fn new(model: LoopModel, start_s: f64, sp: f64, seed: u64) -> Self {
         let mut streams = 1..;
@@ -259,7 +257,7 @@ impl ClosedLoop {
         for disturbance in &mut self.pv_disturbance {
             pv += disturbance.at(self.t_s);
         }
-        // Drawn also where the spread is 0, so that a change of the spread keeps everything else.
+        // Drawn even if the spread is 0, so that changing the spread leaves all other draws the same.
         pv += model.pv_noise_sd * self.noise.gaussian();
         let op = self.pid.step(sp, pv, model.ts_s);
         self.stem = model.valve.step(self.stem, op);
@@ -289,7 +287,7 @@ mod tests {
     use super::*;
     use crate::core::sim::controller::Action;
 
-    /// First order of gain 2, 20 s, dead time 5 s, with a sane controller (lambda tuning, lambda = 20 s).
+    /// First order with gain 2, 20 s, dead time 5 s, with a well-tuned controller (lambda tuning, lambda = 20 s).
     fn sane() -> LoopModel {
         LoopModel {
             ts_s: 1.0,
@@ -320,7 +318,7 @@ mod tests {
         ClosedLoop::new(model, 0.0, sp, 1).record(n, sp)
     }
 
-    /// Mean time between upward crossings of the middle, samples.
+    /// Mean time between upward crossings of the midrange, samples.
     fn period(x: &[f64]) -> f64 {
         let mid = x.iter().sum::<f64>() / x.len() as f64;
         let ups: Vec<usize> = (1..x.len()).filter(|&k| x[k - 1] < mid && x[k] >= mid).collect();
@@ -337,7 +335,7 @@ mod tests {
     fn a_healthy_sane_loop_settles_on_a_new_set_point() {
         let record = run(sane(), 600, 64.0);
         assert!((record.pv[599] - 64.0).abs() < 1e-6 && (record.op_path[599] - 52.0).abs() < 1e-6);
-        // PV cannot answer OP of its own scan, nor before the dead time is over.
+        // PV cannot respond to OP of its own scan, or before the dead time is over.
         assert!(record.pv[..6].iter().all(|&y| y == 60.0) && record.pv[7] > 60.0);
         let peak = record.pv.iter().copied().fold(f64::MIN, f64::max);
         assert!(peak < 64.5, "{peak}");
@@ -346,7 +344,7 @@ mod tests {
     #[test]
     fn a_healthy_loop_with_noise_does_not_oscillate_by_itself() {
         let record = run(LoopModel { pv_noise_sd: 0.1, ..sane() }, 3_000, 60.0);
-        // Noise through the proportional part, and not much more.
+        // Noise passes through the proportional part, and little more.
         assert!(span(&record.pv[500..]) < 1.2 && span(&record.op()[500..]) < 1.0);
     }
 
@@ -354,7 +352,7 @@ mod tests {
     fn a_set_point_out_of_reach_saturates_without_oscillation_and_is_left_at_once() {
         let model = LoopModel { pv_noise_sd: 0.05, ..sane() };
         let mut closed = ClosedLoop::new(model, 0.0, 60.0, 1);
-        // The valve wide open gives 60 + 2 * 50 = 160.
+        // With the valve wide open PV is 60 + 2 * 50 = 160.
         let stuck = closed.record(2_000, 200.0);
         assert!(stuck.op_path[500..].iter().all(|&u| u == 100.0));
         assert!((stuck.pv[1_999] - 160.0).abs() < 0.3);
@@ -362,7 +360,7 @@ mod tests {
         assert!((back.pv[399] - 60.0).abs() < 0.5);
         let least = back.pv.iter().copied().fold(f64::MAX, f64::min);
         assert!(least > 45.0, "undershoot down to {least}");
-        // A set point right at the limit neither.
+        // No windup with a set point right at the limit either.
         let edge = ClosedLoop::new(LoopModel { pv_noise_sd: 0.05, ..sane() }, 0.0, 160.0, 2).record(3_000, 160.0);
         assert!(span(&edge.pv[1_000..]) < 1.5, "{}", span(&edge.pv[1_000..]));
     }
@@ -374,7 +372,7 @@ mod tests {
             let record = run(LoopModel { valve, ..sane() }, 3_000, 61.0);
             let (op, mv, pv) = (record.op(), record.mv.clone().unwrap(), record.pv.clone());
             assert!(span(&op[1_500..]) >= 3.9 && span(&pv[1_500..]) > 1.0, "{law:?} {}", span(&op[1_500..]));
-            // Sustained: the last third is as large as the one before.
+            // Sustained: the last third is as large as the previous one.
             assert!((span(&pv[2_000..]) / span(&pv[1_000..2_000]) - 1.0).abs() < 0.1);
             // The stem rests most of the time.
             let rests = mv[1_500..].windows(2).filter(|w| w[0] == w[1]).count();
@@ -392,8 +390,8 @@ mod tests {
 
     #[test]
     fn the_ultimate_gain_is_the_textbooks() {
-        // Proportional control of a first-order lag with dead time turns unstable where w theta + atan(w tau) = pi
-        // (by bisection); the hold adds half a sample of dead time.
+        // Proportional control of a first-order lag with dead time becomes unstable at w theta + atan(w tau) = pi (solved by
+        // bisection); the hold adds half a sample of dead time.
         let (tau, theta, gain) = (20.0_f64, 5.5_f64, 2.0_f64);
         let (mut lo, mut hi) = (0.01_f64, 3.0_f64);
         for _ in 0..100 {

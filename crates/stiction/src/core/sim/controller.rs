@@ -1,7 +1,7 @@
 //! The controller: PI and PID in the standard (ISA) form, with limits, anti-windup, manual mode and bumpless changes.
 //!
-//! `OP = +-Kc (e + 1/Ti * integral of e dt) -+ Kc Td dPV/dt` (Åström & Hägglund 1995, ch. 3): derivative on PV only
-//! and filtered, integral not taken beyond what brings OP to its limit (conditional integration).
+//! `OP = +-Kc (e + 1/Ti * integral of e dt) -+ Kc Td dPV/dt` (Åström & Hägglund 1995, ch. 3): the derivative acts on filtered
+//! PV only, and the integral stops where it brings OP to its limit (conditional integration).
 
 use super::noise::quantise;
 
@@ -112,7 +112,7 @@ impl Pid {
         }
         let fast = gain * (sp - pv) + self.derivative;
         let more = gain * (sp - pv) * dt_s / ti_s;
-        // What is left up to the limit may still be integrated: OP comes to rest at the limit, not short of it.
+        // Integrates up to the limit, so that OP comes to rest at the limit, not short of it.
         let (room_down, room_up) = (op_min - fast - self.integral, op_max - fast - self.integral);
         self.integral += more.clamp(room_down.min(0.0), room_up.max(0.0));
         self.op = quantise(fast + self.integral, op_resolution).clamp(op_min, op_max);

@@ -57,7 +57,7 @@ pub enum Disturbance {
 }
 
 impl Disturbance {
-    /// Its keys with invalid values and the reasons; empty if it is valid.
+    /// Invalid keys of the disturbance with reasons; empty if it is valid.
     #[must_use]
     pub fn faults(&self) -> Vec<(&'static str, String)> {
         let mut faults = Vec::new();
@@ -144,7 +144,7 @@ impl DisturbanceState {
         Self { shape, random }
     }
 
-    /// Its value at `t_s` seconds after the start; random shapes advance by one sample instead.
+    /// The value at `t_s` seconds after the start; random shapes advance by one sample instead.
     pub fn at(&mut self, t_s: f64) -> f64 {
         match &mut self.random {
             Some(Random::Ar1(ar)) => return ar.next_value(),

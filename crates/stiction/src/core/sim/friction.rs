@@ -31,9 +31,9 @@ pub struct Friction {
 pub struct FrictionSpec {
     /// Force that holds the stem, OP units.
     pub stick: f64,
-    /// Force that drags it while it moves fast, OP units.
+    /// Force during fast motion, OP units.
     pub drag: f64,
-    /// Speed at which the first has become the second, OP units a scan.
+    /// Speed over which `stick` falls to `drag`, OP units per scan.
     pub speed: f64,
     /// Viscous time, scans.
     pub viscous: f64,
@@ -90,7 +90,7 @@ impl Friction {
         self.fs
     }
 
-    /// The speed between `low` and `high`, where the curve rises, at which it has the force `e`.
+    /// The speed between `low` and `high`, on a rising part of the curve, at which the force is `e`.
     fn speed_within(&self, e: f64, mut low: f64, mut high: f64) -> f64 {
         let mut v = high;
         for _ in 0..40 {
@@ -181,7 +181,7 @@ impl Friction {
             self.sub_step(stem, *op, dt);
             let e = (*op - stem.position) * along;
             if !moved {
-                // What still creeps on the way before does not count.
+                // Creep before the motion does not count.
                 from = if along * (stem.position - from) < 0.0 { stem.position } else { from };
                 started = *op;
                 most = most.max(e);
@@ -246,7 +246,7 @@ mod tests {
         }
     }
 
-    /// OP as a cycle with kinks and a slow wander, so that the stem turns at unequal excursions.
+    /// OP as a cycle with kinks and a slow wander, so that the stem reverses at unequal excursions.
     fn path(seed: u64, size: f64, period: f64) -> Vec<f64> {
         let mut noise = Noise::new(seed, 3);
         let mut wander = 0.0;
@@ -298,7 +298,7 @@ mod tests {
             let off = apart / ops.len() as f64 / s;
             worst = worst.max(off);
         }
-        // On average over the run: a slip that comes one scan later parts them by a whole step for that long.
+        // Averaged over the run, because a slip one scan later is an error of a whole step for that long.
         assert!(worst < 0.04, "{worst}");
     }
 
@@ -308,7 +308,7 @@ mod tests {
         let (s, j) = friction.measure();
         let [_, (_, least)] = friction.folds.unwrap();
         assert!((s - (4.0 + least)).abs() < 0.1 && (j - (4.0 - least)).abs() < 0.1, "{s} {j} {least}");
-        // Much drag: the stem creeps, there is no jump.
+        // Much viscous drag: the stem creeps without a jump.
         let (s, j) = Friction::new(4.0, 3.5, 1.0, 5.0, 0.0).measure();
         assert!((s - 8.0).abs() < 0.3 && j < 0.2, "{s} {j}");
     }

@@ -1,4 +1,4 @@
-//! Physics: valve models, processes, controller, noise and the closed loop. The only copy of each formula.
+//! Physics: valve models, processes, controller, noise and the closed loop. Each formula exists only here.
 
 pub mod actuator;
 pub mod closed_loop;

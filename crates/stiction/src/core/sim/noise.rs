@@ -79,8 +79,8 @@ pub struct Ar1 {
 }
 
 impl Ar1 {
-    /// Stationary standard deviation `sd`, autocorrelation `exp(-1 / time_constant)` from sample to sample
-    /// (`time_constant` in samples; 0 is white). It starts somewhere in its stationary spread.
+    /// Stationary standard deviation `sd`, autocorrelation `exp(-1 / time_constant)` from sample to sample (`time_constant` in
+    /// samples; 0 is white). The initial value is drawn from the stationary distribution.
     #[must_use]
     pub fn new(sd: f64, time_constant: f64, mut noise: Noise) -> Self {
         let phi = if time_constant > 0.0 { libm::exp(-1.0 / time_constant) } else { 0.0 };

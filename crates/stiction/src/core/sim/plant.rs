@@ -51,7 +51,7 @@ struct PlantLoop {
 impl PlantLoop {
     fn new(spec: &LoopSpec, scenario: &Scenario) -> Self {
         let run = &scenario.run;
-        // A loop's randomness hangs on its name, so loops can be added and re-ordered.
+        // A loop's randomness depends on its name, so loops can be added and re-ordered.
         let seed = run.seed ^ stream_of(&spec.name);
         let warmup = (run.warmup_s / run.ts_s).round();
         let start_s = -warmup * run.ts_s;
@@ -271,8 +271,8 @@ mod tests {
         x.iter().copied().fold(f64::MIN, f64::max) - x.iter().copied().fold(f64::MAX, f64::min)
     }
 
-    /// Period in samples and regularity (mean over three standard deviations of the half periods) from the zero
-    /// crossings of PV's autocorrelation; `None` under four crossings.
+    /// Period in samples and regularity (mean over three standard deviations of the half periods) from the zero crossings of
+    /// PV's autocorrelation; `None` with fewer than four crossings.
     fn oscillation(pv: &[f64]) -> Option<(f64, f64)> {
         let n = pv.len();
         let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
@@ -310,7 +310,7 @@ mod tests {
             let (period, regularity) = oscillation(&record.pv).unwrap();
             assert!(period > 50.0 && regularity > 1.0, "{name} {index}: {period} {regularity}");
             assert!(record.len() as f64 / period > 9.0, "{name} {index}");
-            // Both directions: OP swings by more than s.
+            // The stem moves both ways: OP swings by more than s.
             let valve = &scenario.loops[index].valve;
             assert!(span(&record.op()) > valve.fs + valve.fd, "{name} {index}");
             let healthy = without_friction(&scenario, index);
@@ -354,11 +354,11 @@ mod tests {
             assert!((found / period - 1.0).abs() < 0.08 && regularity > 1.0, "{name} {index}: {found} {regularity}");
             let (op, mv) = (record.op(), record.mv.clone().unwrap());
             assert!(op == mv && span(&op) > 3.0 && op.iter().all(|u| (10.0..90.0).contains(u)), "{name} {index}");
-            // Sustained: both halves swing.
+            // Sustained: both halves oscillate.
             let (first, second) = record.pv.split_at(record.len() / 2);
             assert!((0.4..2.5).contains(&(span(first) / span(second))), "{name} {index}");
         }
-        // Without the disturbance, or with half of the gain, they are quiet.
+        // Without the disturbance, or with half the gain, the loops are calm.
         let mut calm = scenario("demo");
         calm.loops[3].disturbance.load.remove(0);
         calm.loops[2].controller.kc *= 0.5;
@@ -444,7 +444,7 @@ mod tests {
         };
         let (sticky, jumpy) = (pv(0), pv(1));
         let second = |t_ns: i64| (t_ns - start) / 1_000_000_000;
-        // FIC301: nothing in the gap; lost, doubled, late, disordered and empty values about as often as asked for.
+        // FIC301: no values in the gap; lost, doubled, late, disordered and empty values about as often as configured.
         assert!(sticky.iter().all(|v| !(400..460).contains(&second(v.sample.t_ns))));
         let mut stamps: Vec<i64> = sticky.iter().map(|v| v.sample.t_ns).collect();
         let disordered = stamps.windows(2).filter(|w| w[1] < w[0]).count();
@@ -480,7 +480,7 @@ mod tests {
         assert!(record.op_path.iter().all(|u| ((u * 100.0).round() / 100.0) == *u));
     }
 
-    /// Oscillation of a record, for people: period, samples a period, slips a half cycle, spans.
+    /// A record's oscillation in numbers, for debugging: period, samples per period, slips per half cycle, spans.
     fn numbers(record: &Record) -> String {
         let n = record.pv.len();
         let op = record.op();

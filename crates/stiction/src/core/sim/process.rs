@@ -5,7 +5,7 @@
 //! `x[k] = a x[k-1] + b0 v[k-l] + b1 v[k-l-1]`, `a = exp(-1/tau)`, `b0 = 1 - exp(-(1-f)/tau)`, `b1 = 1 - a - b0`.
 //! A lag is the dead time plus the one sample that a held signal needs to act, so PV never responds to OP of its own scan.
 
-/// Recursion of a pole with unit static gain (or a unit integrator) behind a hold and a fractional delay.
+/// Recursion of a pole with unit static gain (or a unit integrator) after a hold and a fractional delay.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pole {
     /// Weight of the last value.
@@ -91,15 +91,15 @@ pub struct ProcessModel {
     pub integrating: bool,
 }
 
-/// The poles of a process with their values: every model is a sum of poles with the same two taps (partial fractions), so each
-/// is exact for a held input; two lags by `series_weights`, a lag before an integrator as `1/s - tau/(tau s + 1)`.
+/// The poles of a process with their states: every model is a sum of poles with the same two taps (partial fractions), so each
+/// is exact for a held input; two lags use `series_weights`, a lag before an integrator is `1/s - tau/(tau s + 1)`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Poles {
     gain: f64,
     branches: [Branch; 2],
 }
 
-/// One pole of the sum: its recursion, weight and value.
+/// One pole of the sum: its recursion, weight and state.
 #[derive(Debug, Clone, Copy)]
 struct Branch {
     pole: Pole,
@@ -112,7 +112,7 @@ impl Branch {
 }
 
 impl Poles {
-    /// A process at rest with its input, which comes `fraction` of a sample late, at `v0` (an integrator is at 0).
+    /// A process at rest with its input at `v0` (an integrator is at 0); the input comes `fraction` of a sample late.
     #[must_use]
     pub(crate) fn at_rest(model: &ProcessModel, fraction: f64, v0: f64) -> Self {
         let lag = |tau: f64, weight: f64, x: f64| Branch { pole: Pole::lag(tau, fraction), weight, x };
@@ -131,7 +131,7 @@ impl Poles {
         Self { gain: model.gain, branches }
     }
 
-    /// The next output, from the input's newer and older tap.
+    /// The next output, from the newer and older taps of the input.
     pub(crate) fn step(&mut self, newer: f64, older: f64) -> f64 {
         let mut out = 0.0;
         for Branch { pole, weight, x } in &mut self.branches {

@@ -75,8 +75,8 @@ impl Scenario {
     /// Parses and validates a scenario.
     ///
     /// # Errors
-    /// [`ScenarioError::Toml`] where the text is no TOML or has one key that cannot be read, [`ScenarioError::Invalid`] for all
-    /// faults where there are more; both with lines.
+    /// [`ScenarioError::Toml`] if the text is not TOML or one key cannot be read, [`ScenarioError::Invalid`] with all faults if
+    /// there are several; both with lines.
     pub fn parse(text: &str) -> Result<Self, ScenarioError> {
         let scenario: Self = toml::from_str(text).map_err(|error| match shape_faults(text) {
             several if several.len() > 1 => ScenarioError::Invalid(several),
@@ -93,7 +93,7 @@ fn faults(scenario: &Scenario, text: &str) -> Vec<String> {
         .map(|places| places.loops.iter().map(|place| place.span().start).collect())
         .unwrap_or_default();
     let place = |index: usize| starts.get(index).copied().unwrap_or(text.len());
-    // The first tables may stand before or after the loops, so their keys are looked for everywhere.
+    // These tables may come before or after the loops, so their keys are searched in the whole text.
     let mut report = Report { text, range: (0, text.len()), context: String::new(), faults: Vec::new() };
     check_run(scenario, &mut report);
     let mut names = BTreeSet::new();
@@ -321,7 +321,7 @@ controller = { kc = 1.0 }
             .replace("gain = 1.0 }", "gain = nan }");
         let Err(ScenarioError::Invalid(faults)) = Scenario::parse(&text) else { panic!("accepted") };
         assert_eq!(faults.len(), 3, "{faults:?}");
-        // Of shape too, and nothing that only follows from another.
+        // Faults of the shape are reported too, without their consequences.
         let text = GOOD
             .replace("ts_s = 1.0", "ts_s = \"1\"\ntss = 2.0")
             .replacen("gain = 1.0 }", "gian = 1.0 }", 1)

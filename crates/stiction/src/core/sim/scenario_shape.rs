@@ -6,10 +6,10 @@ use toml::de::{DeTable, DeValue, Deserializer};
 
 use super::scenario::Scenario;
 
-/// Faults that are looked for at most.
+/// Most faults reported.
 const MOST: usize = 100;
 
-/// The faults, each with its line, in order; none where the text has the shape of a scenario, or is no TOML.
+/// The faults, each with its line, in order; empty if the text has the shape of a scenario, or is not TOML.
 pub(super) fn shape_faults(text: &str) -> Vec<String> {
     let Ok(mut root) = DeTable::parse(text) else { return Vec::new() };
     let line = |at: usize| text.get(..at).map_or(1, |head| head.matches('\n').count() + 1);
@@ -18,7 +18,7 @@ pub(super) fn shape_faults(text: &str) -> Vec<String> {
         let Err(error) = Scenario::deserialize(Deserializer::from(root.clone())) else { break };
         let at = error.span().map_or(0, |span| span.start);
         let message = error.message().trim().replace('\n', ", ");
-        // What was taken out for its own fault is not missing.
+        // A key removed for its own fault is not missing.
         let follows = taken_out.iter().any(|name| message == format!("missing field `{name}`"));
         if !follows {
             found.push((line(at), message));
@@ -31,7 +31,7 @@ pub(super) fn shape_faults(text: &str) -> Vec<String> {
     found.into_iter().map(|(line, message)| format!("line {line}: {message}")).collect()
 }
 
-/// Removes the innermost entry at this byte, so that the next fault shows, and returns its name.
+/// Removes the innermost entry at this byte, so that the next fault becomes visible, and returns its name.
 fn take_out(table: &mut DeTable<'_>, at: usize) -> Option<String> {
     if let Some(name) = table.iter_mut().find_map(|(_, value)| take_out_of(value, at)) {
         return Some(name);

@@ -17,7 +17,7 @@ pub enum Law {
 }
 
 impl Law {
-    /// Its name in documents and model files.
+    /// The law's name in documents and model files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -26,7 +26,7 @@ impl Law {
         }
     }
 
-    /// Its name in sentences.
+    /// The law's name in sentences.
     #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
@@ -36,7 +36,7 @@ impl Law {
     }
 }
 
-/// The first slip of a record, in place of the unknown stem position before it: towards `direction`, as soon as
+/// The first slip of a record, in place of the unknown initial stem position: towards `direction`, as soon as
 /// `direction * (op - threshold) > 0`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FirstSlip {
@@ -49,19 +49,19 @@ pub struct FirstSlip {
 /// Additional properties of a valve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stroke {
-    /// Bands are wider by the factor `1 + uneven` upwards and `1 - uneven` downwards, `-1 < uneven < 1`.
+    /// The bands are wider by the factor `1 + uneven` upwards and `1 - uneven` downwards, `-1 < uneven < 1`.
     pub uneven: f64,
-    /// Where the stem meets its stops: least and greatest OP value that counts as that of a slip. The stem stands at a
-    /// stop fd below the greatest, or above the least one.
+    /// Positions of the stops: least and greatest OP value that counts as that of a slip. At a stop the stem is fd below the
+    /// greatest, or above the least one.
     pub ends: [f64; 2],
-    /// Share of OP's lead beyond the threshold by which a slip goes further: a heavy stem swings as far past its new
-    /// resting place as it was pulled away from it, less what friction takes.
+    /// Overshoot of a slip, as a share of OP's lead beyond the threshold: a heavy stem swings as far past its new resting
+    /// position as it was away from it, minus the loss to friction.
     pub carried: f64,
-    /// Fastest motion of the stem, OP units a point.
+    /// Fastest motion of the stem, OP units per point.
     pub rate: f64,
     /// Time constant with which a sliding stem follows OP, points.
     pub drag: f64,
-    /// Speed below which a sliding stem sticks again, OP units a point.
+    /// Speed below which a sliding stem sticks again, OP units per point.
     pub slowest: f64,
 }
 
@@ -78,7 +78,7 @@ impl Stroke {
 }
 
 impl Stroke {
-    /// Whether there are no additional properties.
+    /// Whether the valve has no additional properties.
     #[must_use]
     pub(crate) fn is_plain(&self) -> bool {
         *self == Self::FREE
@@ -91,7 +91,7 @@ impl Default for Stroke {
     }
 }
 
-/// The stem's memory between OP values, and what is learned of the cell on the way.
+/// State of the stem between OP values, and the bounds of its cell found so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stem {
     at: f64,
@@ -100,13 +100,14 @@ pub struct Stem {
     carried: f64,
     /// Fastest motion between two OP values.
     rate: f64,
-    /// Drag in OP values, the share of a way that it leaves after one, and the force that it lacks when the stem stops.
+    /// Drag in OP values, its decay factor per value, and how far beyond OP the stem aims, so that it stops at its slowest
+    /// speed.
     drag: f64,
     left: f64,
     rest: f64,
-    /// By how much the stem's mean place since the last OP value is behind `at`.
+    /// Distance by which the stem's mean position since the last OP value lags behind `at`.
     behind: f64,
-    /// What unevenness adds to the way back, and by how much it divides the way on, in the direction of the last slip.
+    /// Addition to the travel back, and factor of the travel forward, after a slip in the last direction, from unevenness.
     back: f64,
     on: f64,
     slipped: bool,
@@ -117,8 +118,8 @@ pub struct Stem {
     reversals: usize,
 }
 
-/// Bands that differ with the direction: `fs (1 + uneven)`, `fd (1 + uneven)` upwards, `1 - uneven` downwards. In slip
-/// coordinates the way back is `s - d uneven j`, the way on `j (1 + d uneven)`; the stem shifts by a constant.
+/// Bands that depend on the direction: `fs (1 + uneven)`, `fd (1 + uneven)` upwards, `1 - uneven` downwards. In slip
+/// coordinates the threshold back is `s - d uneven j`, the threshold forward `j (1 + d uneven)`; the stem shifts by a constant.
 #[derive(Debug, Clone, Copy)]
 struct Uneven {
     uneven: f64,
@@ -133,7 +134,7 @@ impl Uneven {
 }
 
 impl Stem {
-    /// Before the first slip: as if the last one had gone the other way, s away.
+    /// Before the first slip: as if the last slip had gone the other way, s away.
     fn new(first: FirstSlip, s: f64, uneven: Uneven, stroke: Stroke, per_point: usize) -> Self {
         let (back, on) = uneven.of(-first.direction);
         let drag = stroke.drag * per_point as f64;
@@ -159,7 +160,7 @@ impl Stem {
         }
     }
 
-    /// A stem that rests at `position` with bands `[fs, fd]`, to be taken on value by value, a point each.
+    /// A stem at rest at `position` with bands `[fs, fd]`, driven value by value, one value per point.
     #[must_use]
     pub(crate) fn resting(position: f64, [fs, fd]: [f64; 2], stroke: Stroke) -> Self {
         let uneven = Uneven { uneven: stroke.uneven, j: fs - fd };
@@ -170,19 +171,19 @@ impl Stem {
         stem
     }
 
-    /// Before the first slip, with bands `[s, j]` and `per_point` OP values a point.
+    /// A stem before its first slip, with bands `[s, j]` and `per_point` OP values per point.
     #[must_use]
     pub(crate) fn before(first: FirstSlip, [s, j]: [f64; 2], stroke: Stroke, per_point: usize) -> Self {
         Self::new(first, s, Uneven { uneven: stroke.uneven, j }, stroke, per_point)
     }
 
-    /// Takes the next OP value with bands `[s, j]`.
+    /// Processes the next OP value with bands `[s, j]`.
     #[inline]
     pub(crate) fn meet(&mut self, law: Law, op: f64, [s, j]: [f64; 2], stroke: Stroke) {
         self.take(law, op, s, j, Uneven { uneven: stroke.uneven, j });
     }
 
-    /// Level and direction of the stem, `level - fd (direction + uneven)`, averaged since the OP value before.
+    /// Level and direction of the stem, `level - fd (direction + uneven)`, averaged since the previous OP value.
     #[inline]
     #[must_use]
     pub(crate) fn signal(&self) -> (f64, f64) {
@@ -196,32 +197,32 @@ impl Stem {
         self.slips
     }
 
-    /// Moves so far against the move before.
+    /// Moves so far that reversed the direction.
     #[must_use]
     pub(crate) const fn reversals(&self) -> usize {
         self.reversals
     }
 
-    /// Whether the next OP value may move it without a slip.
+    /// Whether the next OP value may move the stem without a slip.
     #[inline]
     #[must_use]
     pub(crate) const fn is_moving(&self) -> bool {
         self.moving
     }
 
-    /// Values of s, then of j, that give the same moves so far.
+    /// Ranges of s, then of j, that give the same moves so far.
     #[must_use]
     pub(crate) const fn cells(&self) -> [[f64; 2]; 2] {
         [self.s_cell, self.j_cell]
     }
 
-    /// Takes the next OP value with bands `[fs, fd]` and answers the mean position until the next one.
+    /// Processes the next OP value with bands `[fs, fd]` and returns the mean position until the following one.
     pub(crate) fn follow(&mut self, law: Law, op: f64, [fs, fd]: [f64; 2], uneven: f64) -> f64 {
         self.take(law, op, fs + fd, fs - fd, Uneven { uneven, j: fs - fd });
         self.at - self.behind - fd * (self.direction + uneven)
     }
 
-    /// Takes the next OP value.
+    /// Processes the next OP value.
     #[inline]
     fn take(&mut self, law: Law, op: f64, s: f64, j: f64, uneven: Uneven) {
         let ahead = self.direction * (op - self.at);
@@ -252,7 +253,7 @@ impl Stem {
         }
     }
 
-    /// Takes a run of OP values by its least and greatest, if the stem rests through all of it, with the same result as
+    /// Processes a run of OP values by its minimum and maximum, if the stem rests throughout, with the same result as
     /// [`Stem::take`] value by value. Returns false and changes nothing if the stem may move.
     #[inline]
     pub(crate) fn rests_between(&mut self, [low, high]: [f64; 2], [s, j]: [f64; 2]) -> bool {
@@ -275,13 +276,13 @@ impl Stem {
         true
     }
 
-    /// Whether a stop is in the way of going on.
+    /// Whether a stop prevents further motion.
     #[inline]
     fn is_at_stop(&self) -> bool {
         self.at == self.ends[usize::from(self.direction > 0.0)]
     }
 
-    /// Breaks away; a reversal moves the place that counts by `turn`, twice the kinetic band.
+    /// Breaks away; a reversal shifts `at` by `turn`, twice the kinetic band.
     #[inline]
     fn slip(&mut self, law: Law, op: f64, direction: f64, lead: f64, turn: f64) {
         self.direction = direction;
@@ -292,7 +293,7 @@ impl Stem {
         self.advance(law, op + direction * self.carried * lead);
     }
 
-    /// Motion towards OP for as long as one value of it lasts.
+    /// Motion towards OP during one OP value.
     #[inline]
     fn advance(&mut self, law: Law, op: f64) {
         self.moving = law == Law::Tracking;
@@ -310,8 +311,7 @@ impl Stem {
         self.at = self.at.clamp(self.ends[0], self.ends[1]);
     }
 
-    /// Motion against drag: towards a place beyond OP by what the stem still has to overcome when it is slowest, until
-    /// it is at OP.
+    /// Motion against drag: the stem approaches a point `rest` beyond OP exponentially, and stops when it reaches OP.
     fn slide(&mut self, op: f64) {
         let way = self.direction * (op - self.at);
         let start = way + self.rest;

@@ -1,4 +1,4 @@
-//! A valve signal as a list of steps, found without looking at every sample.
+//! A valve signal as a list of steps, computed without visiting every sample.
 //!
 //! Between two slips the stem rests, so its signal is a staircase: some hundred steps represent thousands of samples, and
 //! [`crate::core::ident`] computes a free run from them in time proportional to their number. A sliding stem makes a step at every
@@ -67,7 +67,7 @@ impl Path {
 /// One step of a valve signal `level - fd direction`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// Point from which it counts.
+    /// First point at which the step counts.
     pub point: u32,
     /// Change of the level.
     pub level: f64,
@@ -80,13 +80,13 @@ pub struct Step {
 pub struct Steps {
     /// The steps.
     pub list: Vec<Step>,
-    /// All s from the first up to but excluding the second give the same steps.
+    /// Values of s, from the first up to but excluding the second, that give the same steps.
     pub s_cell: [f64; 2],
     /// The same for j.
     pub j_cell: [f64; 2],
     /// Movements of the stem.
     pub slips: usize,
-    /// Movements opposite to the previous one.
+    /// Movements against the previous one.
     pub reversals: usize,
 }
 
@@ -105,7 +105,7 @@ impl Steps {
         }
         while k < values.len() {
             let end = (k / BLOCK + 1) * BLOCK;
-            // Extremes reach to the end of a block, which may lie beyond the values that are asked for.
+            // The extremes cover the rest of the block, which may extend beyond the requested values.
             if end <= values.len() && stem.rests_between(path.ahead[k], [s, j]) {
                 last = put(&mut collector, k, last, stem.signal());
                 k = end;
@@ -126,7 +126,7 @@ impl Steps {
         (self.slips, self.reversals) = (stem.slips(), stem.reversals());
     }
 
-    /// The same for even bands and a stem without mass, stops or delay, by thresholds: most of a search is this case.
+    /// The same for even bands and a stem without mass, stops or delay, by thresholds: most of a search uses this case.
     fn run_plain(&mut self, path: &Path, count: usize, law: Law, [s, j]: [f64; 2], stem: Stem) {
         let m = path.per_point;
         let (values, ahead) = (&path.values[..count], &path.ahead[..count]);
@@ -192,7 +192,7 @@ impl Steps {
         (self.s_cell, self.j_cell, self.slips, self.reversals) = (s_cell, j_cell, slips, reversals);
     }
 
-    /// Level and direction at every one of `points` points, from those before the first step.
+    /// Level and direction at each of `points` points, starting from the values before the first step.
     pub(crate) fn sample(
         &self,
         [mut level, mut direction]: [f64; 2],
@@ -211,8 +211,7 @@ impl Steps {
         directions.resize(points, direction);
     }
 
-    /// The steps of a signal that is given point by point, `direction` of the same length or empty; cells and counts are
-    /// left as they are.
+    /// Converts a signal given point by point; `direction` has the same length or is empty. Cells and counts do not change.
     pub(crate) fn of_signal(&mut self, level: &[f64], direction: &[f64]) {
         self.list.clear();
         for k in 1..level.len() {
@@ -225,7 +224,7 @@ impl Steps {
     }
 }
 
-/// Puts down what changed at an OP value; the signal from there on.
+/// Records the change at an OP value; returns the new signal.
 #[inline]
 fn put(collector: &mut Collector, value: usize, last: (f64, f64), now: (f64, f64)) -> (f64, f64) {
     if now != last {
@@ -234,13 +233,13 @@ fn put(collector: &mut Collector, value: usize, last: (f64, f64), now: (f64, f64
     now
 }
 
-/// Steps at OP values put together into steps at points: one within a point counts there by the share of the point that is
-/// left, and by the rest from the next point on.
+/// Merges steps at OP values into steps at points: a step within a point counts there by the remaining share of the point, and
+/// by the rest from the next point on.
 struct Collector {
     list: Vec<Step>,
     per_point: usize,
     points: usize,
-    /// The point at hand, what steps there, and what it leaves to the next point.
+    /// The current point, its step, and the part that it passes to the next point.
     point: usize,
     here: [f64; 2],
     next: [f64; 2],
@@ -274,7 +273,7 @@ impl Collector {
         }
     }
 
-    /// Ends the point at hand.
+    /// Completes the current point.
     fn put(&mut self) {
         if self.here != [0.0; 2] && self.point < self.points {
             self.list.push(Step { point: self.point as u32, level: self.here[0], direction: self.here[1] });

@@ -1,4 +1,4 @@
-//! Valve models: OP in, stem position out. The only copy of each.
+//! Valve models: OP in, stem position out. Each formula exists only here.
 
 /// He's two-parameter model (He et al. 2007): the stem rests until the unbalanced signal exceeds `fs`, then jumps to
 /// `op -+ fd`. Stateless form: the stem position is the only state, because `op - position` is the residual force.
@@ -67,7 +67,7 @@ mod tests {
             }
             v = next;
         }
-        // From the last slip upwards OP falls by s = fs + fd before the stem moves, and it then jumps j = fs - fd.
+        // After the last slip upwards OP falls by s = fs + fd before the stem moves, and the stem then jumps by j = fs - fd.
         let before = v;
         while he_step(v, op, fs, fd) == v {
             op -= 0.01;

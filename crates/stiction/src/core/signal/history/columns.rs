@@ -91,7 +91,7 @@ impl Times {
         (past % NS_PER_MS == 0).then(|| u32::try_from(past / NS_PER_MS).ok()).flatten()
     }
 
-    /// The same after moving the base to the oldest timestamp.
+    /// As the step above, after moving the base to the oldest timestamp.
     fn step_after_rebase(&mut self, t_ns: i64) -> Option<u32> {
         let oldest = *self.steps.front()?;
         if oldest == 0 {
@@ -157,7 +157,7 @@ mod tests {
     #[test]
     fn stamps_of_whole_milliseconds_take_four_bytes_for_ever() {
         let mut times = Times::default();
-        // Ten thousand samples of ten minutes are 69 days: beyond what a step reaches from the first base.
+        // Ten thousand samples at ten minutes span 69 days: more than a step covers from the first base.
         for k in 0..10_000_i64 {
             if times.len() == 500 {
                 times.pop_front();

@@ -435,12 +435,12 @@ impl View<'_> {
     /// then.
     fn index_at(&self, t_ns: i64) -> u64 {
         let index = self.finest_index_at(t_ns);
-        // Where the boxes stood follows from the number of points alone: the oldest of each size is an even one.
+        // The positions of the bins follow from the number of points alone: the oldest of each size has an even index.
         let (limit, mut size) = (level_limit(self.history.max_points) as u64, 0);
         let mut first = even(self.total.saturating_sub(raw_limit(self.history.max_points) as u64));
         let mut found = index;
         while first > 0 && size < self.history.sizes {
-            // The last box of the next size begins two of this size before what stands in this one.
+            // The last bin of the next size begins two bins of this size before the first of this one.
             if (first - 2) << size < index {
                 break;
             }
@@ -462,7 +462,7 @@ impl View<'_> {
     }
 
     /// The record from `from_ns` to the newest point: raw if it fits into `max_points`, else in the smallest bins that do.
-    /// `end_ns` is its name. `None` if there are no data.
+    /// `end_ns` becomes its name. `None` without data.
     #[must_use]
     pub fn record(&self, from_ns: i64, end_ns: i64) -> Option<Record> {
         let level_for = |from: u64| {
@@ -539,11 +539,11 @@ fn irregularity(bins: &[Bin]) -> f64 {
     let median = steps[steps.len() / 2];
     let mut off: Vec<i64> = steps.iter().map(|s| (s - median).abs()).collect();
     off.sort_unstable();
-    // The 90th percentile, scaled as for a normal spread: a jitter on a third of the steps must show.
+    // The 90th percentile, scaled as for a normal distribution: a jitter on a third of the steps must show.
     off[off.len() * 9 / 10] as f64 / 1.645 / median.max(1) as f64
 }
 
-/// The record of a stretch of points; of more than `max_points` the older ones are averaged in bins. `None` without points.
+/// The record of a stretch of points; above `max_points` the older ones are averaged in bins. `None` without points.
 #[must_use]
 pub fn record_of(points: &[Point], max_points: usize) -> Option<Record> {
     let mut history = History::new(points.len().max(16));

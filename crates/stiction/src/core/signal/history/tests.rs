@@ -1,4 +1,4 @@
-//! What a loop's memory gives back, whichever way it came about.
+//! A loop's history returns the same windows however it was built.
 
 use super::*;
 use crate::core::units::NS_PER_S;
@@ -48,7 +48,7 @@ proptest! {
             let first = (live.start_ns / NS_PER_S) as usize;
             prop_assert!(first >= from && first < from + live.box_samples.max(2) * 2);
             let mut again = record_of(&points[first..], 2 * max_points).unwrap();
-            // Repeats look one point back, which a cut recording does not have.
+            // Repeats refer to the previous point, which a cut recording does not have.
             again.facts = live.facts;
             prop_assert_eq!(live, again);
         }
@@ -102,7 +102,7 @@ proptest! {
             }
             prop_assert_eq!(clone.now().latest_raw(), now.latest_raw());
         }
-        // The history itself goes on as if nobody had looked.
+        // The history itself continues as if no window had been taken.
         (n..n + later).for_each(|k| plain.push(&point(k), keep(k)));
         for back in [1, 50, 333, 1000, 2048, reach] {
             let from = ((n + later) as i64 - back.min(reach)) * NS_PER_S;
@@ -116,7 +116,7 @@ proptest! {
         for k in 0..n {
             history.push(&Point { sp: None, ..point(k) }, 0);
         }
-        // 21 bytes a raw point and 44 a box, where neither SP nor MV is sent and nothing is marked.
+        // 21 bytes per raw point and 44 per bin, if neither SP nor MV is sent and nothing is flagged.
         let boxes: usize = history.levels.iter().map(|l| l.pv.len()).sum();
         let needed = 21 * history.raw.op.len() + 44 * boxes;
         prop_assert!(history.bytes() >= needed && history.bytes() <= needed * 5 / 4 + 4000, "{} {needed}", history.bytes());

@@ -1,4 +1,4 @@
-//! A valve's signal OP value by OP value: what [`crate::core::sim::steps`] is tested against.
+//! A valve's signal, computed OP value by OP value: the reference for the tests of [`crate::core::sim::steps`].
 
 use super::{FirstSlip, Law, Stem, Stroke};
 

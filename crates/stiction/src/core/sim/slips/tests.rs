@@ -1,4 +1,4 @@
-//! The slips against the laws themselves and against small steps in time.
+//! Compares the slips with the laws themselves and with small steps in time.
 
 use super::by_sample::Sequence;
 use super::*;
@@ -115,8 +115,8 @@ fn a_cell_is_one_sequence_and_ends_where_it_says() {
     assert_ne!(tail(&here), tail(&run(s_high, j_low)));
 }
 
-/// A stem that moves by itself between OP values, in small steps: it breaks away beyond `fs` and then goes as `go`
-/// says (force, step, position, speed) until that answers that it rests. Gives the mean position over each value.
+/// A stem that moves between OP values, in small time steps: it breaks away beyond `fs` and then moves by `go` (force, step,
+/// position, speed) until `go` returns that it rests. Returns the mean position over each value.
 fn by_small_steps(
     op: &[f64],
     mut position: f64,
@@ -142,8 +142,8 @@ fn by_small_steps(
     op.iter().map(one).collect()
 }
 
-/// Bands, first slip and sequence of a law with a stroke on an OP path, and the worst error against small steps in
-/// all but the few values near which a slip comes a moment earlier or later.
+/// The worst error of a law with a stroke relative to small steps, except for the few values near which a slip comes slightly
+/// earlier or later.
 fn apart(stroke: Stroke, law: Law, [fs, fd]: [f64; 2], op: &[f64], small: &[f64]) -> f64 {
     let first = FirstSlip { direction: 1.0, threshold: op[0] + fs };
     let sequence = Sequence::of(stroke, law, op, 1, [fs + fd, fs - fd], first);
@@ -155,7 +155,7 @@ fn apart(stroke: Stroke, law: Law, [fs, fd]: [f64; 2], op: &[f64], small: &[f64]
 
 #[test]
 fn a_heavy_stem_carries_on_by_what_op_was_ahead() {
-    // No drag: from `force` it swings to as far beyond the place where friction and spring are equal.
+    // No drag: the stem swings as far beyond the point where friction and spring balance as it was away from it.
     let (op, fs, fc, mass) = (path(3), 3.0, 0.6, 1e-3);
     let small = by_small_steps(&op, op[0], fs, &|force, dt, along, position, speed| {
         *speed += dt / mass * (force - fc);
@@ -164,7 +164,7 @@ fn a_heavy_stem_carries_on_by_what_op_was_ahead() {
     });
     let stroke = Stroke { carried: 1.0, ..Stroke::FREE };
     let error = apart(stroke, Law::He, [fs, 2.0 * fc - fs], &op, &small);
-    // The swing itself takes a tenth of a value.
+    // The swing itself takes a tenth of one value.
     assert!(error < 0.3, "{error}");
     let plain = apart(Stroke::FREE, Law::He, [fs, 2.0 * fc - fs], &op, &small);
     assert!(plain > 3.0 * error, "{plain} {error}");
