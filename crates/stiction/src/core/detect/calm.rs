@@ -1,4 +1,4 @@
-//! Two cheap tests for calm records: does PV move in jumps, and does a stem predict PV better than OP?
+//! Two cheap tests for calm records: whether PV moves in jumps, and whether a stem predicts PV better than OP.
 //!
 //! Coarse versions of [`super::jumps`] and [`super::one_step`]: about a hundred bins, no lines, twenty stems.
 

@@ -1,24 +1,24 @@
-//! How PV follows a set point that moves: the closed loop itself, without a model of process or controller.
+//! How PV follows a moving set point: identifies the closed loop itself, without a model of process or controller.
 //!
-//! Only the set point tells a loop apart from what disturbs it: it is known and comes from outside. PV is fitted by the set
-//! point behind a second-order lag with a zero and dead time, of gain 1 as integral action makes it, plus autoregressive noise
-//! for whatever else moves PV. A loop that rings is compared with one that does not, each with its own noise.
+//! Only the set point separates a loop from its disturbances: it is known and comes from outside. PV is fitted by the set point
+//! filtered by a second-order lag with a zero and dead time (gain 1, because of integral action), plus autoregressive noise for
+//! everything else that moves PV. A loop that rings is compared with one that does not, each with its own noise model.
 
 use core::f64::consts::PI;
 
 use super::ringing::{burg, filtered, innovations};
 use crate::core::signal::{detrend, stats};
 
-/// A closed loop as its set point shows it.
+/// A closed loop identified from its response to the set point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Following {
     /// Log likelihood ratio of a loop that rings to one that does not.
     pub rings: f64,
-    /// Natural period of the one that rings, points.
+    /// Natural period of the loop that rings, points.
     pub period_points: f64,
-    /// Damping of the one that does not: PV creeps to the set point above 1.
+    /// Damping of the loop that does not ring: above 1 PV creeps to the set point.
     pub damping: f64,
-    /// Time by which PV is behind the set point in that one, points.
+    /// Time by which PV lags the set point in the loop that does not ring, points.
     pub lag_points: f64,
 }
 
@@ -30,12 +30,12 @@ const PER_OCTAVE: f64 = 3.0;
 const DEAD_TIMES: [f64; 3] = [0.0, 0.1, 0.2];
 /// Highest order of the noise.
 const ORDER: usize = 10;
-/// Fewest and most points, and points of a period of what oscillates.
+/// Fewest and most points, and points per period of an oscillation.
 const POINTS: [usize; 2] = [60, 1200];
 const PER_PERIOD: f64 = 14.0;
 
-/// How `pv` follows `sp`, where something oscillates with about `period` points; `None` where the set point rests or the record
-/// is short.
+/// How `pv` follows `sp`, if an oscillation has a period of about `period` points; `None` if the set point is constant or the
+/// record is short.
 #[must_use]
 pub(crate) fn of(sp: &[f64], pv: &[f64], period: Option<f64>) -> Option<Following> {
     let k = (pv.len() / POINTS[1]).max((period.unwrap_or(0.0) / PER_PERIOD) as usize).max(1);
@@ -57,8 +57,8 @@ pub(crate) fn of(sp: &[f64], pv: &[f64], period: Option<f64>) -> Option<Followin
     })
 }
 
-/// A closed loop, times in points: `(1 + zero s / w) exp(-dead_time s) / (1 + 2 damping s / w + (s / w)^2)`, and the squared
-/// error that it leaves.
+/// A closed loop, times in points: `(1 + zero s / w) exp(-dead_time s) / (1 + 2 damping s / w + (s / w)^2)`, and its squared
+/// error.
 #[derive(Debug, Clone, Copy)]
 struct Loop {
     damping: f64,
@@ -68,14 +68,14 @@ struct Loop {
     error: f64,
 }
 
-/// The set point, from 0, and PV without trend.
+/// The set point, starting from 0, and PV without trend.
 struct Signals {
     sp: Vec<f64>,
     pv: Vec<f64>,
 }
 
 impl Signals {
-    /// The loop with these times and its best zero; what it leaves of PV.
+    /// The loop with these times and its best zero, and its residual.
     fn fitted(&self, damping: f64, period: f64, dead_time: f64) -> (Loop, Vec<f64>) {
         let [low, band] = answers(&self.sp, damping, period, dead_time).map(|x| detrend::remove_line(&x));
         let mut rest: Vec<f64> = self.pv.iter().zip(&low).map(|(y, x)| y - x).collect();
@@ -85,7 +85,7 @@ impl Signals {
         (Loop { damping, period, dead_time, zero, error: stats::dot(&rest, &rest) }, rest)
     }
 
-    /// The best loop of a class: all of its grid, then steps around the best.
+    /// The best loop of a class: a search over its grid, then steps around the best.
     fn searched(&self, (dampings, bounds): &(&[f64], [f64; 2])) -> Loop {
         let best = |best: Option<Loop>, (damping, period, dead_time)| {
             let tried = self.fitted(damping, period, dead_time).0;
@@ -109,13 +109,14 @@ impl Signals {
         found.unwrap_or(Loop { damping: bounds[1], period: 4.0, dead_time: 0.0, zero: 0.0, error: f64::INFINITY })
     }
 
-    /// Both signals behind the filter that whitens what a loop leaves.
+    /// Both signals, filtered so that the residual of a loop becomes white.
     fn without_noise(&self, of: &Loop) -> Option<Self> {
         let noise = burg(&self.fitted(of.damping, of.period, of.dead_time).1, ORDER)?;
         Some(Self { sp: filtered(&self.sp, &noise), pv: detrend::remove_line(&filtered(&self.pv, &noise)) })
     }
 
-    /// The likeliest loop of a class, by whitened signals first, then with the noise of its own; the variance of its innovations.
+    /// The likeliest loop of a class, first by whitened signals, then with its own noise model; also the variance of its
+    /// innovations.
     fn likeliest(&self, class: &(&[f64], [f64; 2]), white: &Self) -> Option<(f64, Loop)> {
         let by_own_noise = |of: Loop| {
             let (of, left) = self.fitted(of.damping, of.period, of.dead_time);
@@ -127,7 +128,7 @@ impl Signals {
     }
 }
 
-/// The set point behind a second-order lag, and the derivative of that over its natural frequency (bilinear transform).
+/// The set point filtered by a second-order lag, and its derivative over the natural frequency (bilinear transform).
 fn answers(sp: &[f64], damping: f64, period: f64, dead_time: f64) -> [Vec<f64>; 2] {
     let w = 2.0 * PI / period;
     let across = 4.0 * damping * w;
@@ -152,7 +153,7 @@ mod tests {
     use super::super::noise;
     use super::*;
 
-    /// A loop of this damping and natural period 40 behind a set point that steps, under a sine of this size and noise.
+    /// A loop of this damping and natural period 40 that follows a set point with steps, with a sine of this size and noise.
     fn followed(damping: f64, sine: f64, seed: u64) -> Following {
         let n = 900;
         let sp: Vec<f64> = (0..n).map(|k| f64::from(u8::from(k / 130 % 2 == 1))).collect();
@@ -170,7 +171,7 @@ mod tests {
                 [(0.08, 0.0), (0.8, 0.0), (0.8, 0.5)].map(|(z, sine)| followed(z, sine, seed));
             assert!(ringing.rings > 10.0 && (ringing.period_points / 40.0 - 1.0).abs() < 0.05, "{ringing:?}");
             assert!(calm.rings < -10.0 && (calm.damping / 0.8 - 1.0).abs() < 0.4, "{calm:?}");
-            // 3 of dead time, 2 zeta / w.
+            // Dead time 3 plus 2 zeta / w.
             assert!((calm.lag_points - (3.0 + 1.6 * 40.0 / (2.0 * PI))).abs() < 3.0, "{calm:?}");
             assert!(driven.rings < -3.0, "{driven:?}");
         }

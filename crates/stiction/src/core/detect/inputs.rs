@@ -300,7 +300,7 @@ impl Boxes {
             if lag < self.lags {
                 let (enters, leaves) = (head[self.from - lag - 1], tail[lag]);
                 power += enters * enters - leaves * leaves;
-                // The last product is not asked for: it would reach before the record.
+                // The last product is not needed: it would extend before the record.
                 let earlier = if self.from >= lag + 2 { head[self.from - lag - 2] } else { 0.0 };
                 neighbour += enters * earlier - leaves * tail[lag + 1];
             }
@@ -317,7 +317,7 @@ impl Boxes {
             if next < first {
                 continue;
             }
-            // A box before the range counts as the neighbour of its first.
+            // A bin before the range counts as the neighbour of the first bin.
             let from = piece.from.max(first - 1);
             let own = from.max(first);
             if own < next {

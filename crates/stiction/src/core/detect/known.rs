@@ -121,7 +121,7 @@ impl Known {
             match source {
                 Source::Constant => out.push(constant),
                 Source::Lag(lag) => {
-                    // A lag that says nothing new was not learned, but still turns the product.
+                    // A linearly dependent lag was skipped, but still rotates the product.
                     while at < *lag {
                         product = ends.turned(product, self.pv[self.from - at - 1], self.pv[n - 1 - at]);
                         at += 1;
@@ -202,7 +202,7 @@ impl Sums {
         let waves: Vec<(Vec<f64>, Vec<f64>)> = known.lines.iter().map(|f| wave(*f, n + 1)).collect();
         for m in 0..n {
             for (index, slot) in row[..differences].iter_mut().enumerate() {
-                // PV's place less the input's.
+                // PV's index minus the input's.
                 let d = index as isize + 1 - order as isize;
                 let lag = (d + 1).max(1) as usize;
                 *slot = if within(m, from, n, lag) { known.pv[(m as isize + d) as usize] } else { 0.0 };
@@ -290,7 +290,7 @@ impl Sums {
                 *total += by * sum;
             }
         };
-        // Up to the edge as the piece before it, no more as the one behind it.
+        // Up to the edge as part of the previous piece, after it no longer.
         let (mut follows, mut offset) = (0.0, 0.0);
         for piece in &input.pieces {
             if piece.offset != offset {
@@ -329,7 +329,7 @@ impl Sums {
                 Source::Lag(own) => {
                     for (index, slot) in out.iter_mut().enumerate() {
                         let lag = index + 1;
-                        // The first pair of this difference, and what entered and left since.
+                        // The first pair of this difference, and the values that entered and left since.
                         let first = if lag > *own { lag - own + 1 } else { 1 };
                         let mut sum = work.totals[lag + order - own - 1];
                         for at in first..lag {

@@ -1,4 +1,4 @@
-//! Phase-coherent lines: the frequency that, with its harmonics, predicts most of what PV's past does not.
+//! Phase-coherent lines: the frequency that, with its harmonics, best predicts the part of PV that its past does not.
 
 use core::f64::consts::PI;
 
@@ -109,7 +109,7 @@ fn gram(sums: &[[f64; 2]], lines: usize) -> [[f64; COLUMNS]; COLUMNS] {
     for a in 0..lines {
         for b in 0..lines {
             let [re, im] = sums[a + b + 2];
-            // A line less a higher one turns backwards.
+            // The product of a line and a higher one has negative frequency.
             let [apart_re, apart] = sums[a.abs_diff(b)];
             let apart_im = if a >= b { apart } else { -apart };
             out[2 * a][2 * b] = 0.5 * (apart_re + re);

@@ -38,9 +38,9 @@ pub struct Indicator {
 
 /// An indicator of sticking that needs no valve model.
 pub trait Detector: Sync {
-    /// Its name in documents.
+    /// The detector's name in documents.
     fn name(&self) -> &'static str;
-    /// Its value; `None` if the record does not show it.
+    /// The detector's value; `None` if the record does not show it.
     fn score(&self, view: &View) -> Option<f64>;
 }
 

@@ -33,7 +33,7 @@ const TYPICAL: usize = 8;
 /// Persistence below which crossings are due to chance.
 const MIN_PERSISTENCE: f64 = 0.2;
 
-/// What rounding leaves of a straight line, as a share of its largest value.
+/// Rounding residual of a straight line, as a share of its largest value.
 const ROUNDING: f64 = 1e-12;
 
 /// Oscillations of a loop's signals.
@@ -146,10 +146,10 @@ fn judge(acf: &[f64], n: usize, factor: usize) -> Option<Oscillates> {
         return None;
     }
     let period = 2.0 * stats::mean(&gaps);
-    // Spread of the intervals as a sample's, not a population's: few of them must not look regular by chance.
+    // Sample variance, not population variance: a few intervals must not look regular by chance.
     let spread = (stats::variance(&gaps) * gaps.len() as f64 / (gaps.len() - 1) as f64).sqrt();
     let regularity = if spread > 0.0 { (period / 2.0 / (3.0 * spread)).min(100.0) } else { 100.0 };
-    // The peak near a whole number of periods, as if every lag overlapped fully.
+    // The peak near a whole number of periods, corrected as if every lag overlapped fully.
     let peak = |count: f64| {
         let (from, to) = ((count - 0.2) * period, (count + 0.2) * period);
         let around = acf.iter().enumerate().skip(from as usize).take_while(|(lag, _)| *lag as f64 <= to + 1.0);

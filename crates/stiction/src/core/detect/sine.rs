@@ -1,14 +1,14 @@
-//! He's curve fit: half cycles that are sinusoids do not come from a valve.
+//! He's curve fit: sinusoidal half cycles do not come from a valve.
 
 use super::{Detector, View};
 use crate::core::signal::spectrum::zero_crossings;
 
 /// `E_sin / (E_sin + E_tri)` of the half cycles of OP and of PV, the larger of the two, 0.3..0.65 (He et al. 2007, the
-/// triangle's apex free). Small rules sticking out; large says little, because noisy healthy loops are large too.
-/// 0.5 where there are fewer than three half cycles.
+/// triangle's apex free). A small value rules out sticking; a large one says little, because noisy healthy loops have large
+/// values too. 0.5 with fewer than three half cycles.
 pub(super) struct Sine;
 
-/// Places of the apex that are tried.
+/// Positions tried for the apex.
 const PLACES: usize = 12;
 
 impl Detector for Sine {
@@ -22,7 +22,8 @@ impl Detector for Sine {
     }
 }
 
-/// `E_sin / (E_sin + E_tri)` of the half cycles of a signal around 0, `period` points long; `None` of fewer than three.
+/// `E_sin / (E_sin + E_tri)` of the half cycles of a signal around 0 with a period of `period` points; `None` with fewer than
+/// three.
 #[must_use]
 pub fn curve_fit(x: &[f64], period: f64) -> Option<f64> {
     let places = zero_crossings(x, 0.0);

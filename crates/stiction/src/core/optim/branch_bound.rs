@@ -13,7 +13,7 @@ use super::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BranchBound;
 
-/// Factors on the slopes seen, first and last: when no cell is promising any more, the search reduces its slopes and goes on.
+/// Factors on the slopes seen, first and last: when no cell is promising any more, the search reduces its slopes and continues.
 const MARGIN: f64 = 1.5;
 const MOST_MARGIN: f64 = 50.0;
 /// Half the longer side of a cell below which it is not divided.
@@ -67,7 +67,7 @@ impl Solver for BranchBound {
     }
 
     fn search(&self, objective: &mut dyn Objective, settings: &Settings) -> Outcome {
-        // The last tenth sharpens the best place.
+        // The last tenth of the budget refines the best point.
         let tree_budget = settings.budget - settings.budget / 10;
         let meter = Meter::new(objective, tree_budget);
         let mut tree = Tree { meter, slopes: Vec::new(), worst: 0.0, margin: MARGIN };

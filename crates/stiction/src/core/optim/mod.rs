@@ -51,7 +51,7 @@ pub enum Termination {
 }
 
 impl Termination {
-    /// Its word in documents.
+    /// The word in documents.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -94,7 +94,7 @@ impl Outcome {
 
 /// A global search. The same settings and cost give the same result on every machine.
 pub trait Solver: Sync {
-    /// Its name on the command line and in documents.
+    /// The solver's name on the command line and in documents.
     fn name(&self) -> &'static str;
     /// Searches the triangle within the budget.
     fn search(&self, objective: &mut dyn Objective, settings: &Settings) -> Outcome;
@@ -129,7 +129,7 @@ impl SolverName {
         ALL[self as usize]
     }
 
-    /// Its name.
+    /// The solver's name.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.solver().name()
@@ -205,7 +205,7 @@ mod tests {
             fn cost(&mut self, p: [f64; 2]) -> f64 {
                 let bowl = |x: f64, y: f64| (p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y);
                 let ripple = 1.0 - libm::cos(25.0 * (p[0] - 0.63)) * libm::cos(25.0 * (p[1] - 0.22));
-                // No model at all near the tip, as where the stem hardly moves.
+                // No model near the tip, as if the stem hardly moved.
                 if p[0] > 0.95 { f64::INFINITY } else { bowl(0.63, 0.22) + 0.03 * ripple }
             }
         }

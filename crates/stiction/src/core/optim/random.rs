@@ -1,5 +1,5 @@
-//! Adaptive random search (after Masri, Bekey and Safford 1980): draws from a square around the best point, which grows after
-//! a gain and shrinks otherwise; when it has become too small it is reset to full size.
+//! Adaptive random search (after Masri, Bekey and Safford 1980): draws from a square around the best point, which grows after a
+//! gain and shrinks otherwise; a square that has become too small is reset to full size.
 
 use super::draw::Draws;
 use super::{Meter, Objective, Outcome, Settings, Solver, Termination};
@@ -12,13 +12,13 @@ pub struct AdaptiveRandom;
 const SCOUTS: u64 = 200;
 /// Half width of a square when it is opened.
 const WIDE: f64 = 0.5;
-/// Half width at which a square has shrunk to nothing: steps of a thousandth of OP's span are beyond any reading.
+/// Half width at which a square ends: steps of a thousandth of OP's span are finer than any measurement.
 pub(super) const FINEST: f64 = 1e-3;
-/// Draws in a row without luck before the square shrinks.
+/// Consecutive draws without gain before the square shrinks.
 const PATIENCE: u32 = 16;
-/// Squares in a row that bring nothing before the search ends.
+/// Consecutive squares without gain before the search ends.
 const FRUITLESS: u32 = 6;
-/// Relative gain from which a square has brought something.
+/// Least relative gain of a useful square.
 const GAIN: f64 = 1e-4;
 
 impl Solver for AdaptiveRandom {
@@ -49,7 +49,8 @@ impl Solver for AdaptiveRandom {
     }
 }
 
-/// One square from wide to nothing around a point of known cost; where it ends, or `None` when the budget is spent.
+/// One square, shrinking from wide to nothing around a point of known cost; returns where it ends, or `None` when the budget is
+/// spent.
 pub(super) fn descend(
     meter: &mut Meter<'_>,
     from: [f64; 2],

@@ -102,7 +102,7 @@ pub(super) fn partition(costs: &Costs) -> Vec<usize> {
     best[0] = -costs.penalty;
     let mut open: Vec<usize> = Vec::new();
     for at in 1..places.len() {
-        // Places from which the last stretch would now be long enough come in.
+        // Add the places from which the last stretch is now long enough.
         let entering = (0..at).rev().take_while(|&k| places[at] - places[k] <= LEAST_SIDE + step);
         let entering: Vec<usize> = entering.filter(|&k| places[at] - places[k] >= LEAST_SIDE).collect();
         entering.into_iter().for_each(|k| {

@@ -178,9 +178,9 @@ mod tests {
     #[test]
     fn a_level_weighs_by_variance_and_finds_what_lies_between_windows() {
         let two = Level::flat(&[seen(1.0, 0.1, 0.0), seen(1.3, 0.2, 1.0)]).unwrap();
-        // Weights 4 to 1; 0.3 is what a standard deviation of 0.22 allows, nearly.
+        // Weights 4 to 1; 0.3 is nearly what a standard deviation of 0.22 allows.
         assert!((two.at(0.0) - 1.0).abs() < 0.16 && two.at(0.0) > 1.05);
-        // Alternating by 0.5 with small variances: all of it is between windows.
+        // Alternating by 0.5 with small variances: all variance is between windows.
         let far: Vec<Seen> = (0..20).map(|k| seen(f64::from(k % 2), 0.01, f64::from(k))).collect();
         let level = Level::flat(&far).unwrap();
         assert!((level.at(3.0) - 0.5).abs() < 1e-9 && (level.between - 5.0 / 19.0).abs() < 1e-3, "{}", level.between);

@@ -40,14 +40,14 @@ impl Scatter {
         if far_pairs < ENOUGH || far <= near {
             return alone;
         }
-        // Whole variances, the windows' own part included: neighbours differ by 2 (1 - memory) of them.
+        // Total variances, including the windows' own: neighbours differ by 2 (1 - memory) times that.
         let own = stats::median(&seen.iter().map(|(s, _)| s.variance).collect::<Vec<f64>>());
         let memory = (1.0 - (near + own) / (far + own)).clamp(0.0, MOST_MEMORY);
         Self { between: far, repeats: (1.0 + memory) / (1.0 - memory), ..alone }
     }
 }
 
-/// Half the mean square of differences between windows this many lengths apart, less the windows' own variances; and the
+/// Half the mean square of differences between windows this many lengths apart, minus the windows' own variances; and the
 /// number of pairs.
 fn by_differences(seen: &[(Seen, [i64; 2])], lengths_apart: f64) -> (f64, f64) {
     let (mut later, mut pairs, mut shares) = (0, Vec::new(), 0.0);

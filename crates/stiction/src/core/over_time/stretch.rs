@@ -55,7 +55,7 @@ fn seen(points: &[Point<'_>]) -> Vec<Seen> {
     points.iter().filter_map(|p| p.seen).collect()
 }
 
-/// Stretches with the changes between them.
+/// The stretches and the changes between them.
 pub(super) struct Told {
     stretches: Vec<Stretch>,
     pub changes: Vec<Change>,
@@ -83,7 +83,7 @@ impl Told {
         let points = last.points(history);
         let sized = seen(points);
         let now_s = sized.last()?.t_s;
-        // A level is the same at any time.
+        // A level has the same value at any time.
         let (x, half) = (level.at(now_s), level.half_width(now_s));
         let [s, low, high] = [x, x - half, x + half].map(libm::exp);
         let told: Vec<&Point<'_>> = points.iter().filter(|p| p.sticks).collect();
@@ -111,7 +111,7 @@ impl Told {
         let (x, half) = (level.at(now_s), level.half_width(now_s));
         let month = |slope: f64| libm::expm1(slope * MONTH_S);
         let slopes = [-1.0, 1.0].map(|side| month(level.slope + side * level.slope_half_width(HALF_WIDTH)));
-        // Both s and its growth are uncertain: the interval holds every product of theirs.
+        // Both s and its growth are uncertain: the interval contains all their products.
         let products = slopes.map(|m| [libm::exp(x - half) * m, libm::exp(x + half) * m]);
         let ends =
             products.iter().flatten().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);

@@ -58,8 +58,8 @@ impl From<&Assessment> for WindowResult {
 
 /// Bounds of a probability: the confidence of a single window is limited.
 const SURE: [f64; 2] = [0.02, 0.98];
-/// Probabilities assumed for windows without one: where none sticks, what the classifier gives to a calm loop on average, and
-/// where one sticks.
+/// Probabilities assumed for windows without one: if no stiction was found, the classifier's average for a calm loop; if it was
+/// found, the second value.
 const PLAIN: [f64; 2] = [0.2, 0.9];
 /// Multiplier of logits: the verdicts count more than their confidences.
 const SHARPER: f64 = 3.0;
@@ -73,7 +73,7 @@ pub(super) struct Point<'a> {
     pub result: &'a WindowResult,
     pub sticks: bool,
     pub p: f64,
-    /// The same as it counts towards its stretch, sharpened and bounded.
+    /// The probability with its weight in the stretch: sharpened and bounded.
     pub weighed: f64,
     /// Its share of the time it covers, shared with overlapping windows: 1 without overlap.
     pub share: f64,
@@ -100,7 +100,7 @@ impl<'a> History<'a> {
         let answers = |w: &&WindowResult| w.stiction.is_some() && w.end_ns > w.start_ns;
         let mut kept: Vec<&WindowResult> = windows.iter().filter(answers).collect();
         kept.sort_by_key(|w| (w.end_ns, w.start_ns));
-        // One window has one name; what was computed last counts.
+        // A window is identified by its end; the last result computed for it counts.
         kept.reverse();
         kept.dedup_by_key(|w| w.end_ns);
         kept.reverse();
@@ -178,14 +178,14 @@ mod tests {
         let share = |windows: &[WindowResult]| History::of(windows).points.iter().map(|p| p.share).collect::<Vec<_>>();
         let apart = share(&[window(0, 10), window(10, 20), window(50, 60)]);
         assert!(apart.iter().all(|s| (s - 1.0).abs() < 1e-12));
-        // Half of each is shared by two, so both together are one and a half.
+        // Half of each is shared, so both together count one and a half.
         let two = share(&[window(0, 10), window(5, 15)]);
         assert!(two.iter().all(|s| (s - 0.75).abs() < 1e-12));
-        // A window a quarter of its length after another, many times: a quarter each.
+        // Windows that start a quarter of their length apart, many times: a quarter each.
         let many: Vec<WindowResult> = (0..40).map(|k| window(5 * k, 5 * k + 20)).collect();
         let all = share(&many);
         assert!((all[20] - 0.25).abs() < 1e-12 && (all.iter().sum::<f64>() - (1.0 + 39.0 * 0.25)).abs() < 1e-9);
-        // The same window twice is one.
+        // The same window twice counts once.
         assert_eq!(share(&[window(0, 10), window(0, 10)]), [1.0]);
     }
 
@@ -198,7 +198,7 @@ mod tests {
         assert!(log_s(&sized(Some(f64::NAN), Some([0.0, 1.0]))).is_none());
         let (x, variance) = log_s(&sized(Some(2.0), Some([1.0, 4.0]))).unwrap();
         assert!((x - libm::log(2.0)).abs() < 1e-12 && (variance.sqrt() - libm::log(4.0) / 3.29).abs() < 1e-12);
-        // An interval down to nothing is wide, not infinite.
+        // An interval that reaches down to zero is wide, not infinite.
         assert!(log_s(&sized(Some(2.0), Some([0.0, 2.0]))).unwrap().1 < 1.0);
     }
 }

@@ -1,4 +1,4 @@
-//! Sentences made from the numbers.
+//! Sentences from the numbers.
 
 use super::window::{History, WindowResult};
 use super::{Change, ChangeKind, OverTime, Pooled, Trend};
@@ -7,7 +7,7 @@ use crate::core::units::{duration, format_rfc3339, is_date, number, s_from_ns};
 /// Below this many independent windows a stretch is called young.
 const FEW: f64 = 3.0;
 
-/// What is to be said.
+/// All sentences of the report.
 pub(super) fn sentences(told: &OverTime, history: &History<'_>) -> Vec<String> {
     if told.windows == 0 {
         return vec!["No window has given an answer yet.".to_owned()];
@@ -48,7 +48,7 @@ pub(super) fn off(w: &WindowResult, expected: f64, of: usize) -> String {
     )
 }
 
-/// What limits the window, behind why it contradicts.
+/// The reason why a window contradicts, with the checks that limit the window.
 pub(super) fn with_gates(why: String, gates: &[String]) -> String {
     if gates.is_empty() { why } else { format!("{why}; it is limited by {}", gates.join(", ")) }
 }
@@ -113,7 +113,7 @@ fn jump(p: &Pooled) -> Option<String> {
     })
 }
 
-/// No size since the last change.
+/// Why there is no size since the last change.
 fn nothing(told: &OverTime, history: &History<'_>) -> String {
     let since = told.since_ns.unwrap_or(i64::MIN);
     let later: Vec<_> = history.points.iter().filter(|p| p.middle_ns() > since).collect();
