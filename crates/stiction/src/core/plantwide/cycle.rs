@@ -6,9 +6,9 @@ use crate::core::record::Record;
 use crate::core::signal::{detrend, spectrum};
 use crate::core::units::s_from_ns;
 
-/// Fewest cycles of the lowest frequency that is looked for.
+/// Fewest cycles of the lowest frequency searched.
 const LEAST_CYCLES: f64 = 3.5;
-/// Highest frequency that is looked for, cycles a sample.
+/// Highest frequency searched, cycles per sample.
 const HIGHEST: f64 = 0.3;
 /// A peak is a harmonic if the line at this fraction of its frequency has at least [`SUBHARMONIC`] of its power.
 const FRACTIONS: [usize; 3] = [3, 2, 5];
@@ -33,7 +33,7 @@ pub(super) struct Cycle {
 }
 
 impl Cycle {
-    /// The cycle of a record, in seconds since `epoch_ns`; `None` where the loop does not oscillate.
+    /// The cycle of a record, in seconds since `epoch_ns`; `None` if the loop does not oscillate.
     pub fn of(record: &Record, epoch_ns: i64) -> Option<Self> {
         let n = record.len();
         if n < 30 {
@@ -67,8 +67,8 @@ impl Cycle {
         1.0 / self.frequency_hz
     }
 
-    /// Complex amplitude at `frequency_hz` in Hann frames of `length_s` around each of `centres_s`; the phase is counted
-    /// from the plant's epoch.
+    /// Complex amplitude at `frequency_hz` in Hann frames of `length_s` around each of `centres_s`; the phase is relative to
+    /// the plant's epoch.
     pub fn demodulated(&self, frequency_hz: f64, centres_s: &[f64], length_s: f64) -> Vec<Complex<f64>> {
         let n = self.signal.len();
         let half = (length_s / 2.0 / self.point_s) as usize;
@@ -94,37 +94,37 @@ impl Cycle {
                 Some((values, phasors)) => {
                     frame.iter().zip(values).zip(phasors).for_each(|((weight, value), z)| add(*weight, *value, *z));
                 }
-                // At the edges of the window its last values are repeated.
+                // Beyond the ends of the window the end values are repeated.
                 None => frame.iter().enumerate().for_each(|(j, weight)| {
                     let place = (centre + j as isize - half as isize).clamp(0, n as isize - 1) as usize;
                     add(*weight, self.signal[place], phasors[place]);
                 }),
             }
-            // The frame's own mean is taken out: it would leak into a slow line.
+            // Subtract the frame's own mean, which would leak into a slow line.
             (sum - leak * (mean / total)) * (2.0 / total)
         };
         centres_s.iter().map(at).collect()
     }
 }
 
-/// Length 1, at an angle of so many cycles; the same bits on every machine.
+/// Unit phasor at an angle of `cycles` turns; identical bits on every machine.
 pub(super) fn phasor(cycles: f64) -> Complex<f64> {
     let (sin, cos) = libm::sincos(2.0 * core::f64::consts::PI * cycles);
     Complex::new(cos, sin)
 }
 
-/// Angle of a complex number, rad, -pi to pi; the same bits on every machine.
+/// Angle of a complex number, rad, -pi to pi; identical bits on every machine.
 pub(super) fn angle(z: Complex<f64>) -> f64 {
     libm::atan2(z.im, z.re)
 }
 
-/// Length of a complex number; the same bits on every machine.
+/// Absolute value of a complex number; identical bits on every machine.
 pub(super) fn length(z: Complex<f64>) -> f64 {
     z.norm_sqr().sqrt()
 }
 
-/// By how much the PV of the second record lags the first's at a common period, s, within half a period: the sign of the gain
-/// between them is not known.
+/// Time by which the PV of the second record lags the first's at a common period, s, within half a period, because the sign of
+/// the gain between them is unknown.
 pub(super) fn lag_s(records: [&Record; 2], epoch_ns: i64, period_s: f64) -> f64 {
     let cycles = records.map(|record| Cycle {
         frequency_hz: 1.0 / period_s,
@@ -207,7 +207,7 @@ mod tests {
         let cycle = Cycle::of(&record, 0).unwrap();
         for z in cycle.demodulated(1.0 / 160.0, &[600.0, 900.0, 1200.0], 480.0) {
             assert!((length(z) - 3.0).abs() < 0.05, "{z:?}");
-            // A sine is a cosine a quarter of a period late.
+            // A sine is a cosine delayed by a quarter of a period.
             assert!((angle(z) + core::f64::consts::FRAC_PI_2).abs() < 0.02, "{z:?}");
         }
     }

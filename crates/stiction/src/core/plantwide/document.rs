@@ -45,7 +45,7 @@ pub struct GroupDocument {
 }
 
 impl GroupDocument {
-    /// The name that the group's documents share while it has the same members: the alphabetically first of them.
+    /// The name that all documents of a group share while its members stay the same: the alphabetically first member.
     #[must_use]
     pub fn key(&self) -> &str {
         self.members.iter().min().map_or("", String::as_str)
@@ -101,7 +101,7 @@ pub struct Source {
 }
 
 impl Source {
-    /// The source of a group in which no loop can be named.
+    /// The source if no loop can be named.
     pub(super) const fn unnamed() -> Self {
         let kind = SourceKind::CannotTell;
         Self { kind, loop_name: None, probability: 0.0, reasons: Vec::new(), next_test: None }

@@ -1,9 +1,9 @@
-//! What says that a member of a group causes the oscillation: its own signs of stiction, and what its signals explain of the
-//! other loops beyond their own past.
+//! Evidence that a member of a group causes the oscillation: its own signs of stiction, and how well its signals predict other
+//! loops beyond their own past.
 //!
-//! Everything is a gain of a linear prediction of PV: `ln(variance without / variance with)` some columns, less what as many
-//! columns of noise would take off (BIC). The strongest sign is what the *stem* of one loop (its OP through He's law)
-//! explains of another loop beyond the first loop's PV and OP: a stem that exists only in the model tells nothing of others.
+//! Every figure is a gain of a linear prediction of PV: `ln(variance without / variance with)` some columns, minus the gain
+//! expected from as many columns of noise (BIC). The strongest sign is how well the *stem* of one loop (its OP through He's
+//! law) predicts another loop beyond the first loop's PV and OP: a stem that exists only in the model predicts no other loop.
 
 use core::cell::OnceCell;
 
@@ -15,33 +15,33 @@ use crate::core::sim::valve::he_step;
 use crate::core::units::s_from_ns;
 use crate::core::verdict::Assessment;
 
-/// Points before the first one that is predicted: more than the longest lag.
+/// Points before the first predicted one: more than the longest lag.
 const FIRST: usize = 13;
 /// Longest lag and lead, points.
 const LONGEST: usize = 12;
-/// Fewest points of a comparison of two loops, and of three.
+/// Fewest points to compare two loops, and three.
 const LEAST_POINTS: [usize; 2] = [80, 100];
-/// Points a period, at most.
+/// Most points per period.
 const POINTS_A_PERIOD: f64 = 50.0;
-/// Ridge on the normal equations, a point.
+/// Ridge on the normal equations, per point.
 const RIDGE: f64 = 1e-9;
-/// Limits of the indicators of a fit.
+/// Upper limits of a fit's indicators.
 const LARGEST: [f64; 2] = [8.0, 5.0];
-/// Probability of a loop that could not be judged by itself.
+/// Probability assumed for a loop without a verdict of its own.
 const UNKNOWN: f64 = 0.2;
 
-/// The signals of a member on the plant's time.
+/// The signals of a member, on the plant's time.
 pub(super) struct Signals {
     start_s: f64,
     point_s: f64,
     op: Vec<f64>,
     pv: Vec<f64>,
-    /// OP through He's law with the loop's own bands; none where there are no bands.
+    /// OP through He's law with the loop's own bands; `None` without bands.
     stem: Option<Vec<f64>>,
 }
 
 impl Signals {
-    /// Signals of a record in seconds since `epoch_ns`, and its stem as the assessment's bands make it.
+    /// Signals of a record in seconds since `epoch_ns`, with its stem by the assessment's bands.
     pub fn of(record: &Record, assessment: &Assessment, epoch_ns: i64) -> Self {
         let bands = assessment.fs.zip(assessment.fd);
         Self {
@@ -57,8 +57,8 @@ impl Signals {
         self.start_s + self.pv.len().saturating_sub(1) as f64 * self.point_s
     }
 
-    /// One signal at the times of `grid`, standardised: means over a point of the grid where it is coarser, else values
-    /// between the samples.
+    /// One signal at the times of `grid`, standardised: means over a grid point if the grid is coarser, else interpolated
+    /// values.
     fn on(&self, signal: &[f64], grid: &Grid) -> Vec<f64> {
         let last = signal.len().saturating_sub(1) as f64;
         let mut values: Vec<f64> = if self.point_s < 0.75 * grid.step_s {
@@ -80,14 +80,14 @@ impl Signals {
     }
 }
 
-/// Value at a place between the points of `x`.
+/// Interpolated value between the points of `x`.
 fn between(x: &[f64], place: f64) -> f64 {
     let below = (place.floor() as usize).min(x.len() - 1);
     let above = (below + 1).min(x.len() - 1);
     x[below] + (place - below as f64) * (x[above] - x[below])
 }
 
-/// OP through He's law, a value a point.
+/// OP through He's law, one value per point.
 fn stem(record: &Record, fs: f64, fd: f64) -> Vec<f64> {
     let mut position = record.op_path.first().copied().unwrap_or(0.0);
     let follow = |path: &[f64]| {
@@ -103,7 +103,7 @@ fn stem(record: &Record, fs: f64, fd: f64) -> Vec<f64> {
     record.op_path.chunks(record.path_per_point()).map(follow).collect()
 }
 
-/// Common points in time.
+/// A common time grid.
 struct Grid {
     start_s: f64,
     step_s: f64,
@@ -124,7 +124,7 @@ pub(super) struct Evidence {
 }
 
 impl Evidence {
-    /// What the figures are.
+    /// Names of the figures.
     pub(crate) const NAMES: [&str; 17] = [
         "own_logit",
         "likelihood",
@@ -146,18 +146,18 @@ impl Evidence {
     ];
 }
 
-/// What two loops say of each other: `a` predicted with the help of `b`.
+/// Prediction of loop `a` with the help of loop `b`.
 #[derive(Clone, Copy, Default)]
 struct Ordered {
-    /// What PV of `b` adds.
+    /// Gain from PV of `b`.
     pv: f64,
-    /// What the stem of `a` adds, and adds beside PV of `b`.
+    /// Gain from the stem of `a`, alone and in addition to PV of `b`.
     own: [f64; 2],
-    /// What the stem of `b` adds beside its PV and OP.
+    /// Gain from the stem of `b` in addition to its PV and OP.
     stem: f64,
 }
 
-/// Evidence of each member of a group whose period is `period_s`; `None` where the windows overlap too little.
+/// Evidence of each member of a group whose period is `period_s`; `None` if the windows overlap too little.
 pub(super) fn gather(members: &[(&Signals, &Assessment)], period_s: f64) -> Option<Vec<Evidence>> {
     let signals: Vec<&Signals> = members.iter().map(|m| m.0).collect();
     let from = signals.iter().map(|s| s.start_s).fold(f64::MIN, f64::max);
@@ -207,7 +207,7 @@ pub(super) fn gather(members: &[(&Signals, &Assessment)], period_s: f64) -> Opti
     Some((0..n).map(one).collect())
 }
 
-/// What a loop's own window says: the logit of its probability and its indicators, 0 where one is missing.
+/// Evidence from a loop's own window: the logit of its probability and its indicators, 0 for a missing one.
 fn alone(assessment: &Assessment) -> [f64; 7] {
     let of = |name: &str| assessment.indicators.iter().find(|i| i.name == name).and_then(|i| i.score).unwrap_or(0.0);
     let p = assessment.p_calibrated.unwrap_or(UNKNOWN).clamp(1e-4, 1.0 - 1e-4);
@@ -222,17 +222,17 @@ fn alone(assessment: &Assessment) -> [f64; 7] {
     ]
 }
 
-/// Longest lags, in points: of another loop, and of the own OP and stem.
+/// Longest lags, in points: of another loop, and of the loop's own OP and stem.
 fn lags(period_s: f64, step_s: f64) -> [usize; 2] {
     [((0.25 * period_s / step_s) as usize).clamp(3, LONGEST), ((0.16 * period_s / step_s) as usize).clamp(2, 8)]
 }
 
-/// Time between the points of a grid on which these members are compared, s.
+/// Time between the points of the grid for comparing these members, s.
 fn step_s(all: &[&Signals], members: &[usize], period_s: f64) -> f64 {
     members.iter().map(|m| all[*m].point_s).fold(period_s / POINTS_A_PERIOD, f64::max)
 }
 
-/// The members of a group on every grid on which two or three of them are compared.
+/// The members of a group on every grid needed to compare two or three of them.
 struct Sheets<'a> {
     signals: &'a [&'a Signals],
     period_s: f64,
@@ -241,7 +241,7 @@ struct Sheets<'a> {
 
 impl<'a> Sheets<'a> {
     fn new(signals: &'a [&'a Signals], [from, to]: [f64; 2], period_s: f64) -> Self {
-        // The coarser of two loops, or of three, gives the step.
+        // The slowest of the two or three loops determines the step.
         let mut steps: Vec<f64> = (0..signals.len()).map(|member| step_s(signals, &[member], period_s)).collect();
         steps.sort_by(f64::total_cmp);
         steps.dedup();
@@ -260,7 +260,7 @@ impl<'a> Sheets<'a> {
     }
 }
 
-/// The members on one grid; each is put there when it is first needed.
+/// The members on one grid; each is resampled when first needed.
 struct Sheet<'a> {
     signals: &'a [&'a Signals],
     grid: Grid,
@@ -274,7 +274,7 @@ struct OnGrid {
     pv: Vec<f64>,
     op: Vec<f64>,
     stem: Option<Vec<f64>>,
-    /// Products of the columns of the loop that is predicted, and of the loop that helps.
+    /// Products of the columns as the predicted loop, and as the helping loop.
     products: [OnceCell<DMatrix<f64>>; 2],
 }
 
@@ -304,7 +304,7 @@ impl Sheet<'_> {
         let pv = of_b.add_lags(Some(&self.on(b).pv), 1..=other);
         let op = of_b.add_lags(Some(&self.on(b).op), 1..=other);
         let far_stem = of_b.add_lags(self.on(b).stem.as_deref(), 1..=other);
-        // A loop's own products are the same beside every other loop.
+        // A loop's own products are the same with every other loop.
         let products_a = self.on(a).products[0].get_or_init(|| of_a.own_products());
         let products_b = self.on(b).products[1].get_or_init(|| of_b.own_products());
         let fits = Fits::of_two([products_a, products_b], &of_a.products_with(&of_b), of_a.rows());
@@ -316,12 +316,13 @@ impl Sheet<'_> {
     }
 }
 
-/// What the two others that explain most of loop `a` (with lags and leads) explain of it, and what its own stem still adds.
+/// How well the two other loops with the largest gains predict loop `a` (with lags and leads), and the additional gain from its
+/// own stem.
 fn beside_two(a: usize, sheets: &Sheets, of_a: &[Ordered]) -> [f64; 2] {
     let (all, period_s) = (sheets.signals, sheets.period_s);
     let own_step = step_s(all, &[a], period_s);
     let mut others: Vec<usize> = (0..all.len()).filter(|b| *b != a).collect();
-    // Loops that are sampled much more slowly come last: they would make the grid coarse.
+    // Loops with much slower sampling come last: they would make the grid coarse.
     let slow = |b: usize| all[b].point_s > 1.5 * own_step;
     others.sort_by(|b, c| slow(*b).cmp(&slow(*c)).then(of_a[*c].pv.total_cmp(&of_a[*b].pv)));
     others.truncate(2);
@@ -348,12 +349,12 @@ fn grid(from: f64, to: f64, step_s: f64) -> Grid {
     Grid { start_s: from + step_s, step_s, points }
 }
 
-/// Columns of a linear prediction; the first column is what is predicted. Each is a stretch of a signal.
+/// Columns of a linear prediction; the first column is the predicted one. Each is a section of a signal.
 struct Columns<'a> {
     points: usize,
-    /// Points at the end that only leads see.
+    /// Points at the end that only leads use.
     leads: usize,
-    /// Columns that stand before these.
+    /// Number of columns before these.
     before: usize,
     columns: Vec<&'a [f64]>,
 }
@@ -367,7 +368,8 @@ impl<'a> Columns<'a> {
         self.points - FIRST - self.leads
     }
 
-    /// PV, and the loop's own past: the constant, PV at lags 1 to 3, OP at lags 0 to `own`. Gives the columns of the past.
+    /// Adds PV and the loop's own past: the constant, PV at lags 1 to 3, OP at lags 0 to `own`. Returns the columns of the
+    /// past.
     fn base(&mut self, signals: &'a OnGrid, ones: &'a [f64], own: usize) -> Vec<usize> {
         self.add_shifts(&signals.pv, 0..=0);
         let mut base = self.add_shifts(ones, 0..=0);
@@ -413,14 +415,14 @@ fn inner(a: &[f64], b: &[f64]) -> f64 {
     DVectorView::from_slice(a, a.len()).dot(&DVectorView::from_slice(b, b.len()))
 }
 
-/// Least squares on any of the columns, from their products.
+/// Least squares on any subset of the columns, from their products.
 struct Fits {
     products: DMatrix<f64>,
     rows: f64,
 }
 
 impl Fits {
-    /// From the products of each of two loops' own columns, and of the first's with the second's.
+    /// From the products of each of two loops' own columns, and those of the first loop's with the second's.
     fn of_two(own: [&DMatrix<f64>; 2], between: &DMatrix<f64>, rows: usize) -> Self {
         let n = own[0].nrows();
         let all = n + own[1].nrows();
@@ -433,7 +435,7 @@ impl Fits {
         Self { products: DMatrix::from_fn(all, all, product), rows: rows as f64 }
     }
 
-    /// Variance that the columns leave.
+    /// Residual variance with these columns.
     fn left(&self, columns: &[usize]) -> f64 {
         let k = columns.len();
         let ridge = RIDGE * self.rows;
@@ -444,7 +446,7 @@ impl Fits {
         (self.products[(0, 0)] - explained).max(1e-12 * self.products[(0, 0)]) / self.rows
     }
 
-    /// What `added` columns take off beside `before`, less what as many columns of noise would; at least 0.
+    /// Gain of the `added` columns in addition to `before`, minus the gain expected from as many columns of noise; at least 0.
     fn gain(&self, before: &[&Vec<usize>], added: &[usize]) -> f64 {
         if added.is_empty() {
             return 0.0;

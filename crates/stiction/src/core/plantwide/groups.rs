@@ -1,20 +1,20 @@
-//! Groups of loops from the links of pairs: average linkage on the logits above the threshold.
+//! Groups of loops from the links of pairs: average linkage of the logits relative to the threshold.
 
 /// Score of a pair that was not compared.
 const APART: f64 = -8.0;
 /// Largest score of a pair, either way.
 const LIMIT: f64 = 8.0;
 
-/// A pair of loops and the logit of its link less the threshold.
+/// A pair of loops and the logit of its link minus the threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Link {
     pub pair: [usize; 2],
     pub score: f64,
 }
 
-/// Sets of two and more of `n` loops, each in rising order, that these pairs connect.
+/// Connected sets of two or more of `n` loops, each in rising order.
 pub(super) fn connected(n: usize, pairs: impl Iterator<Item = [usize; 2]>) -> Vec<Vec<usize>> {
-    // Each loop points to another one of its set, or to itself.
+    // Union-find: each loop points to another loop of its set, or to itself.
     let mut towards: Vec<usize> = (0..n).collect();
     let first_of = |towards: &mut Vec<usize>, mut k: usize| {
         while towards[k] != k {
@@ -35,8 +35,8 @@ pub(super) fn connected(n: usize, pairs: impl Iterator<Item = [usize; 2]>) -> Ve
     sets
 }
 
-/// Groups of two and more in a connected set, each in rising order. Two are merged, the closest first, while the mean score
-/// between them is above 0.
+/// Groups of two or more in a connected set, each in rising order. The closest two are merged while the mean score between them
+/// is above 0.
 pub(super) fn merged(part: &[usize], links: &[Link]) -> Vec<Vec<usize>> {
     let place = |loop_: usize| part.binary_search(&loop_).ok();
     // Sums of scores between clusters, which add up when clusters are merged.

@@ -1,7 +1,7 @@
-//! The links of a plant's pairs, and the groups that they make.
+//! The links of a plant's pairs, and the resulting groups.
 //!
-//! Most pairs share nothing, and their stored frames show it. Only the others are compared in full. Inside a set of loops
-//! that links connect every pair is: groups come out as if no pair had been left out, unless a link was.
+//! Most pairs are unrelated, and a sketch of their phases shows it; only the others are compared in full. Within a set of loops
+//! connected by links every pair is compared: the groups are the same as without this shortcut, unless it dropped a link.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +11,11 @@ use super::groups::{self, Link};
 use super::sketch::Sketch;
 use super::{PlantLoop, pair};
 
-/// By how much the agreement of two loops' stored frames may fall short of 1 before the pair is left out. On plants and pairs of
-/// plants of the development seeds, the full comparison links no pair that falls short by more than .065.
+/// Largest shortfall from 1 of the agreement of two loops' sketches at which the pair is compared in full. On plants and pairs
+/// of plants of the development seeds, the full comparison links no pair with a shortfall above 0.065.
 const LARGEST_SHORTFALL: f64 = 0.15;
-/// How much less it may be for each logit of a higher threshold. On the same pairs at least 1.6 times what is linked.
+/// Relative decrease of that limit per logit by which the threshold rises. On the same pairs the limit stays at least 1.6 times
+/// the largest shortfall of a linked pair.
 const FALL: f64 = 0.2;
 
 /// Loops that oscillate, and the links of their pairs.
@@ -22,7 +23,7 @@ pub(super) struct Links<'a> {
     loops: &'a [PlantLoop<'a>],
     cycles: &'a [Option<Cycle>],
     rules: &'a Calibration,
-    /// Pairs that oscillate at nearly the same frequency at the same time, in one area.
+    /// Number of pairs in one area that oscillate at nearly the same frequency at the same time.
     pub compared: usize,
     /// Logits of the pairs that were compared in full.
     found: Vec<Link>,
@@ -64,7 +65,7 @@ impl<'a> Links<'a> {
     /// Compares a pair in full.
     fn link(&self, pair: [usize; 2]) -> Option<Link> {
         let [a, b] = pair.map(|k| self.cycles[k].as_ref());
-        // The lower frequency comes first, whatever the order of the loops.
+        // The lower frequency comes first, so that the order of the loops does not matter.
         let (a, b) = (a?, b?);
         let (low, high) = if a.frequency_hz <= b.frequency_hz { (a, b) } else { (b, a) };
         let score = pair::link(&pair::compare(low, high)?, &self.rules.link);
@@ -124,18 +125,18 @@ impl<'a> Links<'a> {
     }
 }
 
-/// By how much the agreement of two loops' stored frames falls short of 1; 0 where they say nothing.
+/// Shortfall from 1 of the agreement of two loops' sketches; 0 if they have too few common frames.
 fn shortfall(a: &Sketch, b: &Sketch) -> f64 {
     a.agreement(b).map_or(0.0, |agreement| 1.0 - f64::from(agreement))
 }
 
-/// The largest shortfall that a link may have where so many pairs are compared.
+/// The largest shortfall allowed if this many pairs are compared.
 fn largest_shortfall(rules: &Calibration, compared: usize) -> f64 {
     let raised = rules.chance.threshold_among(compared) - rules.chance.threshold;
     LARGEST_SHORTFALL * libm::exp(-FALL * raised)
 }
 
-/// Whether the stored frames of two loops of a small plant leave it open that they share one oscillation.
+/// Whether the sketches of two loops of a small plant allow that they share an oscillation.
 pub(super) fn may_share(a: &Cycle, b: &Cycle) -> bool {
     shortfall(&Sketch::of(a), &Sketch::of(b)) <= LARGEST_SHORTFALL
 }

@@ -1,13 +1,13 @@
-//! Many loops of one plant: which share one oscillation, and which of them makes it.
+//! Many loops of one plant: which of them share an oscillation, and which one causes it.
 //!
-//! A sticking valve shakes its neighbours, and a load from outside shakes several loops at once. Judged alone, a healthy loop
-//! behind another loop's limit cycle looks as if its own valve stuck. Here loops are grouped by oscillations that are one
-//! (locked phases that wander together), the source of each group is looked for, and every member is judged again with
-//! what the group knows. Nothing is asked about topology.
+//! A sticking valve disturbs its neighbours, and an external load disturbs several loops at once. Judged alone, a healthy loop
+//! that follows another loop's limit cycle looks as if its own valve stuck. This module groups loops that share an oscillation
+//! (their phases are locked and wander together), searches for the source of each group, and judges every member again with the
+//! group's evidence. It needs no topology.
 //!
-//! Limits: loops whose periods differ by less than 0.3 % over few periods cannot be told apart; a sticking follower behind a
-//! sticking source is reported as masked, not as healthy; clocks that differ by a sizeable part of a period spoil the lags
-//! and the search for the source, not the groups.
+//! Limits: loops whose periods differ by less than 0.3 % over few periods cannot be distinguished; a sticking follower of a
+//! sticking source is reported as masked, not as healthy; clocks that differ by a sizeable part of a period spoil the lags and
+//! the search for the source, not the groups.
 
 mod calibration;
 mod cycle;
@@ -40,33 +40,32 @@ use links::{Linked, Links};
 use order::Order;
 use source::Decision;
 
-/// Members whose evidence is gathered: the cost grows with their square. Of larger groups these are the ones that by
-/// themselves most likely stick; the others can only be followers.
+/// Most members whose evidence is gathered: the cost grows with its square. In larger groups these are the members most likely
+/// to stick by their own windows; the others can only be followers.
 const MOST_CANDIDATES: usize = 10;
 
-/// A loop of a plant, with what its own window says.
+/// A loop of a plant with its window and assessment.
 #[derive(Debug, Clone, Copy)]
 pub struct PlantLoop<'a> {
-    /// Its name.
+    /// The loop's name.
     pub name: &'a str,
     /// The window.
     pub record: &'a Record,
     /// The loop's own assessment of that window.
     pub assessment: &'a Assessment,
-    /// The area of the plant, where it is known: loops of different areas are not compared.
+    /// The plant area, if known: loops of different areas are not compared.
     pub area: Option<&'a str>,
-    /// Names of the loops that the configuration puts upstream of it. They change the order of a group's members, no
-    /// probability.
+    /// Names of the loops that are upstream by configuration. They change the order of a group's members, but no probability.
     pub upstream: &'a [String],
 }
 
-/// The groups of a plant, largest first; loops that are in none keep their own answer.
+/// The groups of a plant, largest first; loops in no group keep their own answer.
 #[must_use]
 pub fn assess_plant(loops: &[PlantLoop]) -> Vec<GroupDocument> {
     assess_plant_by(loops, Calibration::shipped())
 }
 
-/// The same by other rules than those of this build.
+/// As [`assess_plant`], with other rules than those of this build.
 #[must_use]
 pub fn assess_plant_by(loops: &[PlantLoop], rules: &Calibration) -> Vec<GroupDocument> {
     let epoch_ns = loops.iter().map(|l| l.record.start_ns).min().unwrap_or(0);
@@ -79,16 +78,16 @@ pub fn assess_plant_by(loops: &[PlantLoop], rules: &Calibration) -> Vec<GroupDoc
     links.groups().into_iter().filter_map(document).collect()
 }
 
-/// A pair as it is judged.
+/// Figures of a pair.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PairFigures {
-    /// What its link is judged by.
+    /// Features for the link of the pair.
     pub values: Vec<f64>,
-    /// Whether the stored frames of both loops let the pair be compared in full.
+    /// Whether the sketches of both loops allow that they share an oscillation, so that the pair is compared in full.
     pub may_share: bool,
 }
 
-/// The figures of a pair; `None` where the loops do not oscillate, not at nearly the same frequency, or not at the same time.
+/// The figures of a pair; `None` if a loop does not oscillate, or the two oscillate at different frequencies or times.
 #[must_use]
 pub fn pair_figures(a: &PlantLoop, b: &PlantLoop) -> Option<PairFigures> {
     let epoch_ns = a.record.start_ns.min(b.record.start_ns);
@@ -98,19 +97,19 @@ pub fn pair_figures(a: &PlantLoop, b: &PlantLoop) -> Option<PairFigures> {
     Some(PairFigures { values, may_share: links::may_share(&a, &b) })
 }
 
-/// Whether two periods, s, are so near each other that their loops may share one oscillation.
+/// Whether two periods, s, are close enough for their loops to share an oscillation.
 #[must_use]
 pub fn is_near(a_s: f64, b_s: f64) -> bool {
     libm::fabs(libm::log(a_s / b_s)) < pair::NEAR
 }
 
-/// Frequency of a loop's dominant oscillation, Hz; `None` where it does not oscillate.
+/// Frequency of a loop's dominant oscillation, Hz; `None` if it does not oscillate.
 #[must_use]
 pub fn frequency_hz(record: &Record) -> Option<f64> {
     Cycle::of(record, record.start_ns).map(|cycle| cycle.frequency_hz)
 }
 
-/// What a group's source and members are judged by, a row a member; `None` where their windows overlap too little.
+/// Figures for judging a group's source and members, one row per member; `None` if their windows overlap too little.
 #[must_use]
 pub fn group_figures(members: &[PlantLoop]) -> Option<Vec<[f64; Evidence::NAMES.len()]>> {
     let epoch_ns = members.iter().map(|l| l.record.start_ns).min()?;
@@ -129,7 +128,7 @@ fn common_period_s<'a>(cycles: impl Iterator<Item = &'a Cycle>) -> f64 {
     crate::core::signal::stats::median(&cycles.map(Cycle::period_s).collect::<Vec<f64>>())
 }
 
-/// Probability that chance gives the weakest member its best link into the group, with all `compared` pairs counted.
+/// Probability that the weakest member has its best link into the group by chance, given `compared` pairs.
 fn p_value(members: &[usize], inside: &[Link], compared: usize, rules: &Calibration) -> f64 {
     let best =
         |member: &usize| inside.iter().filter(|l| l.pair.contains(member)).map(|l| l.score).fold(f64::MIN, f64::max);
@@ -137,7 +136,7 @@ fn p_value(members: &[usize], inside: &[Link], compared: usize, rules: &Calibrat
     (compared as f64 * rules.chance.p_value(weakest)).min(1.0)
 }
 
-/// A group that is being judged.
+/// A group during judgement.
 struct Group<'a> {
     members: Vec<usize>,
     loops: &'a [PlantLoop<'a>],
@@ -180,7 +179,7 @@ impl Group<'_> {
         self.put_in_order(&mut ranked, &source, best);
         source.reasons.extend(self.reason_of_order(&by_evidence, &ranked));
         let judged = |member: &usize| {
-            // Loops with one record say nothing of each other.
+            // Loops with the same record are no evidence for each other.
             let place = candidates.iter().position(|c| c == member).filter(|_| same_record.is_empty());
             self.judgement(*member, place, &decision, &source)
         };
@@ -204,7 +203,7 @@ impl Group<'_> {
         })
     }
 
-    /// Puts members that are upstream of others before them; a source that the windows name stays first.
+    /// Moves members before those that they are upstream of; a source named by the windows stays first.
     fn put_in_order(&self, ranked: &mut Vec<usize>, source: &Source, best: usize) {
         let order = Order::of(self.loops);
         match source.kind {
@@ -217,7 +216,8 @@ impl Group<'_> {
         }
     }
 
-    /// What the configured order changed first: a member that stands further back, and one upstream of it that passed it.
+    /// The first change made by the configured order, as a reason: a member that was moved back, and the one upstream of it
+    /// that overtook it.
     fn reason_of_order(&self, before: &[usize], after: &[usize]) -> Option<String> {
         let name = |member: usize| self.loops[member].name;
         let passed = before.iter().zip(after).find(|(before, after)| before != after).map(|(before, _)| *before)?;
@@ -227,7 +227,7 @@ impl Group<'_> {
         Some(format!("{} is listed before {}, as the configuration puts it upstream", name(first), name(passed)))
     }
 
-    /// Members that have the record of another member.
+    /// Members with the same record as another member.
     fn same_record(&self) -> Vec<usize> {
         self.members.iter().copied().filter(|member| self.twin_of(*member).is_some()).collect()
     }
@@ -237,7 +237,7 @@ impl Group<'_> {
         self.members.iter().copied().filter(|other| *other != member).find(is_same)
     }
 
-    /// The area that all members are configured to be in.
+    /// The area in which all members are configured.
     fn area(&self) -> Option<String> {
         let of = |member: &usize| self.loops[*member].area;
         let area = self.members.first().and_then(of)?;
@@ -250,7 +250,7 @@ impl Group<'_> {
         let p_alone = l.assessment.p_calibrated.filter(|_| l.assessment.stiction.is_some());
         let converted = |p: f64| for_prevalence(p, l.assessment.prevalence);
         let is_source = source.kind == SourceKind::Loop && source.loop_name.as_deref() == Some(l.name);
-        // A member beyond the candidates is less likely to stick, alone, than each of them.
+        // A member beyond the candidates is less likely to stick, by its own window, than each of them.
         let judged = place.zip(p_alone).map(|(place, p)| decision.p_stiction(place, p, self.rules));
         let (p_calibrated, lowered) = judged.map_or((p_alone, false), |(p, lowered)| (Some(p), lowered));
         let called = p_calibrated.is_some_and(|p| p >= l.assessment.called_at());

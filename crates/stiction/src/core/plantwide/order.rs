@@ -31,8 +31,8 @@ impl<'a> Order<'a> {
         false
     }
 
-    /// Puts loops that are upstream of others before them, and leaves the order as it is otherwise. Where loops are upstream of
-    /// each other (a recycle), the first one stays first.
+    /// Moves loops before those that they are upstream of, and otherwise keeps the order. If loops are upstream of each other
+    /// (a recycle), the first one stays first.
     pub fn sort(&self, loops: &[PlantLoop], ranked: &mut Vec<usize>) {
         if self.upstream.is_empty() {
             return;

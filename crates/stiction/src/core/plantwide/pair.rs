@@ -1,7 +1,7 @@
 //! Whether two loops share one oscillation: their phases stay locked over the window and wander together.
 //!
-//! Both loops are demodulated at their common frequency on absolute time, in Hann frames of some periods. Independent
-//! cycles of nearly the same frequency drift apart or wander each by itself; loops that are shaken by one source do not.
+//! Both loops are demodulated at their common frequency on absolute time, in Hann frames of a few periods. Independent cycles
+//! of nearly the same frequency drift apart or wander independently; loops driven by one source do not.
 
 use nalgebra::Complex;
 
@@ -9,7 +9,7 @@ use super::cycle::{Cycle, angle, length};
 use super::logit::Logit;
 use crate::core::signal::{lag, stats};
 
-/// Largest difference of the frequencies of a pair, as a logarithm of their ratio.
+/// Largest difference of a pair's frequencies, as the logarithm of their ratio.
 pub(super) const NEAR: f64 = 0.12;
 /// Time between frames, periods.
 const HOP: f64 = 0.5;
@@ -18,7 +18,7 @@ const LEAST_PERIODS: f64 = 2.5;
 /// Largest weight of a frame, in medians of the weights.
 const LARGEST_WEIGHT: f64 = 4.0;
 
-/// What the link of a pair is judged by. Logarithms are natural, phases in rad, times in periods.
+/// Features for the link of a pair. Logarithms are natural, phases in rad, times in periods.
 pub(super) const FEATURES: [&str; 11] = [
     "ln of the spread of the phase difference",
     "ln rms of its detrended wander",
@@ -41,7 +41,7 @@ pub(super) fn frame_periods(span_s: f64, period_s: f64) -> f64 {
     if span_s > 10.0 * period_s { 3.0 } else { 2.0 }
 }
 
-/// Where two cycles can be compared.
+/// Common frequency and time of two cycles.
 pub(super) struct Common {
     frequency: f64,
     /// Length of a frame, periods.
@@ -51,7 +51,7 @@ pub(super) struct Common {
     to: f64,
 }
 
-/// The common frequency and time of two cycles; `None` where their frequencies differ too much or they overlap too little.
+/// The common frequency and time of two cycles; `None` if their frequencies differ too much or they overlap too little.
 pub(super) fn common(a: &Cycle, b: &Cycle) -> Option<Common> {
     if libm::log(a.frequency_hz / b.frequency_hz).abs() >= NEAR {
         return None;
@@ -64,7 +64,7 @@ pub(super) fn common(a: &Cycle, b: &Cycle) -> Option<Common> {
     (to - from >= LEAST_PERIODS * period).then_some(Common { frequency, frame, from, to })
 }
 
-/// Compares two cycles; `None` where they have too little in common.
+/// Compares two cycles; `None` if they have too little in common.
 pub(super) fn compare(a: &Cycle, b: &Cycle) -> Option<Pair> {
     let Common { frequency, frame, from, to } = common(a, b)?;
     let period = 1.0 / frequency;
@@ -100,7 +100,7 @@ pub(super) fn compare(a: &Cycle, b: &Cycle) -> Option<Pair> {
     ])
 }
 
-/// What the link's logit is linear in: the figures, their squares, and the products of spread, rank and wander.
+/// The regressors of the link's logit: the figures, their squares, and the products of spread, rank and wander.
 pub(super) fn expanded(pair: &Pair) -> Vec<f64> {
     let mut terms = pair.to_vec();
     terms.extend(pair.iter().map(|x| x * x));
@@ -109,12 +109,12 @@ pub(super) fn expanded(pair: &Pair) -> Vec<f64> {
     terms
 }
 
-/// The logit that a pair shares one oscillation.
+/// The logit that a pair shares an oscillation.
 pub(super) fn link(pair: &Pair, logit: &Logit) -> f64 {
     logit.of(&expanded(pair))
 }
 
-/// Weight of each frame, by the amplitudes of both; they add up to 1.
+/// Weight of each frame, by the amplitudes of both cycles; the sum is 1.
 fn weights([a, b]: &[Vec<Complex<f64>>; 2]) -> Vec<f64> {
     let mut weights: Vec<f64> = a.iter().zip(b).map(|(a, b)| length(*a) * length(*b)).collect();
     let most = LARGEST_WEIGHT * crate::core::signal::stats::median(&weights);
@@ -124,7 +124,7 @@ fn weights([a, b]: &[Vec<Complex<f64>>; 2]) -> Vec<f64> {
     weights
 }
 
-/// Angles without jumps of a whole turn, rad.
+/// Unwrapped angles, rad.
 fn unwrapped(z: impl Iterator<Item = Complex<f64>>) -> Vec<f64> {
     let turn = 2.0 * core::f64::consts::PI;
     let mut angles: Vec<f64> = z.map(angle).collect();
@@ -135,12 +135,12 @@ fn unwrapped(z: impl Iterator<Item = Complex<f64>>) -> Vec<f64> {
     angles
 }
 
-/// Phase noise: a phase less its weighted straight line.
+/// Phase noise: a phase minus its weighted straight line.
 struct PhaseNoise {
     rest: Vec<f64>,
     /// Weighted mean square of the rest, at least 1e-6.
     variance: f64,
-    /// Slope of the line, rad a frame.
+    /// Slope of the line, rad per frame.
     slope: f64,
 }
 
@@ -156,8 +156,8 @@ impl PhaseNoise {
     }
 }
 
-/// Rank, above 0 and at most 1, of the variance `of_pair` among those of the two wanders shifted against each other by
-/// more than a frame: the surrogates of a pair that does not belong together.
+/// Rank, above 0 and at most 1, of the variance `of_pair` among those with the two wanders shifted against each other by more
+/// than a frame: the shifted wanders are surrogates of an unrelated pair.
 fn rank_among_shifted(a: &[f64], b: &[f64], of_pair: f64, frame: f64) -> f64 {
     let m = a.len();
     let (mut tried, mut smaller) = (0, 0);
@@ -180,7 +180,7 @@ mod tests {
     use crate::core::record::Record;
     use crate::core::sim::noise::Noise;
 
-    /// A cycle of 100 s whose phase wanders by `wander` rad a period, or the wander given.
+    /// A cycle of 100 s with the given phase.
     fn loop_of(phase: &[f64], lag: f64) -> Cycle {
         let pv: Vec<f64> = phase.iter().map(|p| libm::sin(p - lag)).collect();
         Cycle::of(&Record::uniform(1.0, vec![50.0; pv.len()], pv), 0).unwrap()

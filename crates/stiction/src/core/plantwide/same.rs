@@ -1,15 +1,15 @@
-//! Whether two loops have one and the same record: a file that was sent under two names, or keys that were mapped twice.
+//! Whether two loops have the same record: a file sent under two names, or keys mapped twice.
 
 use crate::core::record::Record;
 use crate::core::signal::stats;
 use crate::core::units::ns_from_s;
 
-/// Largest difference of two copies of one sample, share of the signal's span: what formats and means of boxes round off.
+/// Largest difference between two copies of a sample, as a share of the signal's span: rounding by formats and means of bins.
 const ROUNDED: f64 = 1e-6;
-/// Least common points.
+/// Fewest common points.
 const LEAST: usize = 30;
 
-/// Whether OP and PV of both are the same over the time that both cover, which is most of each.
+/// Whether OP and PV of both records agree over their common time, which must cover most of each.
 pub(super) fn is_same(a: &Record, b: &Record) -> bool {
     let step_s = a.point_s();
     if (step_s - b.point_s()).abs() > 1e-6 * step_s {

@@ -1,24 +1,24 @@
-//! A loop's phase in a few numbers, which rule out most pairs that share nothing before the full comparison.
+//! A loop's phase in a few numbers, which rule out most unrelated pairs before the full comparison.
 
 use super::cycle::{Cycle, length, phasor};
 use crate::core::signal::stats::median;
 
-/// Largest size of a frame, in medians of the loop's frames.
+/// Largest amplitude of a frame, in medians of the loop's frames.
 const LARGEST: f64 = 2.0;
-/// Fewest common frames that say anything.
+/// Fewest common frames for a comparison.
 const LEAST_FRAMES: usize = 3;
-/// Values that are summed side by side.
+/// Values summed in parallel.
 const LANES: usize = 8;
 
-/// Complex amplitude of a cycle at the whole multiples of a power of two, s, that is between half a period and a period: loops of
-/// nearly the same period have frames at the same times.
+/// Complex amplitude of a cycle at the multiples of a time step, s, which is the power of two between half a period and a
+/// period: loops of nearly the same period have frames at the same times.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Sketch {
     /// Binary logarithm of the time between frames, s.
     octave: i32,
-    /// Number of the first frame, counted from the plant's epoch.
+    /// Index of the first frame, relative to the plant's epoch.
     first: i64,
-    /// Real parts, imaginary parts and sizes, in medians of the sizes.
+    /// Real parts, imaginary parts and absolute values, in medians of the absolute values.
     frames: [Vec<f32>; 3],
 }
 
@@ -50,12 +50,12 @@ impl Sketch {
         self.frames[0].len()
     }
 
-    /// How well the phase difference of two loops stays the same, 0 to 1; `None` where they have too few frames in common.
+    /// Stability of the phase difference of two loops, 0 to 1; `None` if they have too few common frames.
     pub fn agreement(&self, other: &Self) -> Option<f32> {
         let (fine, coarse) = if self.octave <= other.octave { (self, other) } else { (other, self) };
         let step = 1_usize.checked_shl(fine.octave.abs_diff(coarse.octave)).unwrap_or(usize::MAX);
         let ratio = step as i64;
-        // Numbers of the common frames, as the coarser one counts.
+        // Indices of the common frames, in steps of the coarser sketch.
         let from = coarse.first.max(fine.first.div_euclid(ratio) + i64::from(fine.first.rem_euclid(ratio) > 0));
         let end_of_fine = (fine.first + fine.count() as i64 - 1).div_euclid(ratio) + 1;
         let count = usize::try_from(end_of_fine.min(coarse.first + coarse.count() as i64) - from).unwrap_or(0);
@@ -69,7 +69,8 @@ impl Sketch {
     }
 }
 
-/// Sums of the products of one loop's frames with the conjugate ones of another, real and imaginary, and of their sizes.
+/// Sums of the products of one loop's frames with the conjugate frames of another, real and imaginary, and of their absolute
+/// values.
 fn sums(a: [&[f32]; 3], b: [&[f32]; 3]) -> [f32; 3] {
     let n = a[0].len();
     let mut lanes = [[0.0_f32; LANES]; 3];
@@ -87,7 +88,7 @@ fn sums(a: [&[f32]; 3], b: [&[f32]; 3]) -> [f32; 3] {
     core::array::from_fn(|k| lanes[k].iter().sum::<f32>() + rest[k])
 }
 
-/// The same where only each `step`-th frame of the first loop has its time.
+/// The same if only every `step`-th frame of the first loop has a partner.
 fn sums_apart(a: [&[f32]; 3], step: usize, b: [&[f32]; 3]) -> [f32; 3] {
     let mut sums = [0.0; 3];
     for (k, at) in (0..b[0].len()).map(|k| (k, k * step)) {

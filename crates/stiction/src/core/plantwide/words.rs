@@ -1,4 +1,4 @@
-//! A group in words.
+//! A group in sentences.
 
 use super::document::{GroupDocument, Source, SourceKind};
 use super::evidence::Evidence;
@@ -6,11 +6,11 @@ use super::source::{Decision, names};
 use crate::core::units::{duration, number, probability};
 use crate::core::verdict::MemberJudgement;
 
-/// Probability from which on a source is named.
+/// Probability from which a source is named.
 const NAMED: f64 = 0.7;
-/// Reasons given, at most.
+/// Most reasons given.
 const REASONS: usize = 3;
-/// Periods that a test in manual takes.
+/// Duration of a test in manual, periods.
 const TEST_PERIODS: f64 = 4.0;
 
 /// The source of a group whose likeliest member is called `name`.
@@ -38,12 +38,12 @@ pub(super) fn source(decision: &Decision, evidence: &Evidence, name: &str, perio
     }
 }
 
-/// The figures that weigh most for (or, where nothing inside causes the oscillation, against) the likeliest member.
+/// The figures with the largest weight for the likeliest member, or against it if nothing inside causes the oscillation.
 fn reasons(decision: &Decision, evidence: &Evidence, name: &str, against: bool) -> Vec<String> {
     let sign = if against { -1.0 } else { 1.0 };
     let mut parts: Vec<(f64, &str, bool)> = Vec::new();
     for ((figure, compared), part) in names().zip(&decision.parts) {
-        // A figure and its distance from the other members make one reason.
+        // A figure and its comparison with the other members are one reason.
         match parts.iter_mut().find(|known| known.1 == figure) {
             Some(known) => (known.0, known.2) = (known.0 + sign * part, known.2 || compared),
             None => parts.push((sign * part, figure, compared)),
@@ -96,7 +96,7 @@ fn reason(figure: &str, value: f64, name: &str, against: bool) -> Option<String>
     Some(sentence)
 }
 
-/// What drives a member that is not the source.
+/// The cause of a member's oscillation, if the member is not the source.
 pub(super) fn cause(source: &Source) -> Option<String> {
     let p = probability(source.probability);
     match (source.kind, &source.loop_name) {
@@ -106,12 +106,12 @@ pub(super) fn cause(source: &Source) -> Option<String> {
     }
 }
 
-/// What is said of a member that has the record of another one.
+/// The note on a member that has the same record as another.
 pub(super) fn twice(twin: &str) -> String {
     format!("recorded twice, as {twin} too: check the keys of both")
 }
 
-/// A member's part in its group, in a sentence.
+/// A member's role in its group, in a sentence.
 #[must_use]
 pub fn of_member(judged: &MemberJudgement) -> String {
     let own = judged.p_alone.map_or_else(String::new, |p| format!("; by its own window p {}", probability(p)));
@@ -121,10 +121,10 @@ pub fn of_member(judged: &MemberJudgement) -> String {
     }
 }
 
-/// What a masked member needs.
+/// Appended for a masked member.
 const MASKED: &str = "; masked: judge this loop again once the source is repaired";
 
-/// What makes a group's oscillation, in a sentence for every reader of the group.
+/// The cause of a group's oscillation, in a sentence used by every display of the group.
 #[must_use]
 pub fn headline(group: &GroupDocument) -> String {
     let source = &group.source;

@@ -1,5 +1,5 @@
-//! Loops compatible with the record: bands drawn from their intervals, process and controller around the estimates, each kept
-//! in proportion to its likelihood.
+//! Loops compatible with the record: bands drawn from their intervals, process and controller drawn around the estimates, each
+//! kept in proportion to its likelihood.
 
 use super::plant::{Known, Plant, Shape};
 use crate::core::ident::residual::whiteness;
@@ -29,7 +29,7 @@ pub(super) struct Drawn {
     pub ti_s: f64,
 }
 
-/// Loops compatible with the record, seeded; none if no plant fits.
+/// Loops compatible with the record, seeded; empty if no plant fits.
 pub(super) fn draws(known: &Known<'_>, seed: u64) -> Vec<Drawn> {
     let mut noise = Noise::new(seed, 0);
     let centre = known.shape();
@@ -42,7 +42,7 @@ pub(super) fn draws(known: &Known<'_>, seed: u64) -> Vec<Drawn> {
     let points = (known.len() as f64 / inflation).min(MOST_POINTS);
     let weights: Vec<f64> = plants.iter().map(|p| libm::pow(least / p.mse, 0.5 * points)).collect();
     let all: f64 = weights.iter().sum();
-    // Systematic resampling: one draw for the whole comb.
+    // Systematic resampling: one draw for all equidistant points.
     let offset = noise.uniform();
     let (mut sum, mut at) = (weights.first().copied().unwrap_or(0.0), 0);
     let mut out = Vec::with_capacity(DRAWN);

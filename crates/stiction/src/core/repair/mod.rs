@@ -1,4 +1,4 @@
-//! Benefit of a valve repair: the closed loop simulated as it is, without stiction, and with half the controller gain.
+//! Benefit of a valve repair: simulates the closed loop as it is, without stiction, and with half the controller gain.
 //!
 //! The loop comes from the record and its assessment: valve and process as fitted, the identified controller, and as
 //! disturbance the residuals of PV, resampled in blocks. Without stiction the disturbance is between the measurement noise

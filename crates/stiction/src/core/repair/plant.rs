@@ -10,7 +10,7 @@ use crate::core::sim::process::{ProcessModel, ProcessState};
 use crate::core::sim::slips::Law;
 use crate::core::verdict::{Assessment, Controller, Process};
 
-/// Most points simulated; of longer records the latest.
+/// Most points simulated; of longer records, the latest ones.
 const MOST_POINTS: usize = 2_000;
 /// Fewest points for a fit.
 const LEAST_POINTS: usize = 60;
@@ -137,9 +137,9 @@ impl<'a> Known<'a> {
         let mut process = ProcessState::at_rest(unit, *stem.first()?);
         let response: Vec<f64> = (0..n).map(|k| process.step(stem[k.saturating_sub(1)], rest)).collect();
         let forgets = unit.dead_time + FORGOTTEN * if unit.integrating { unit.tau } else { unit.tau + unit.tau2 };
-        // Where the stem stood before is forgotten once it has moved both ways.
+        // The initial stem position is forgotten once the stem has moved both ways.
         let from = (moved_both_ways(&stem) + forgets.ceil().max(0.0) as usize).min((MOST_LEFT_OUT * n as f64) as usize);
-        // What went before the record: a start that dies out, or where the level drifts.
+        // The effect of the time before the record: a transient that decays, or a drift of the level.
         let before: Vec<f64> = if unit.integrating {
             (from..n).map(|k| k as f64 / n as f64).collect()
         } else {

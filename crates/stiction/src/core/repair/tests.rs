@@ -1,4 +1,4 @@
-//! The simulated loop against the plant that made the record.
+//! Compares the simulated loop with the plant that generated the record.
 
 use super::plant::Known;
 use super::*;
@@ -44,7 +44,7 @@ fn sticking() -> ValveModel {
     ValveModel { law: ValveLaw::He, fs: 4.0, fd: 2.0, ..ValveModel::HEALTHY }
 }
 
-/// An assessment with the loop's own numbers.
+/// An assessment with the loop's true parameters.
 fn truth(record: &Record) -> Assessment {
     let ProcessModel { gain, tau, tau2, dead_time, integrating } = SECOND_ORDER;
     let controller = Controller { kc: 0.7, ti_s: 18.0, td_s: 0.0, lag_samples: 0.0, r2: 1.0, unexplained: 0.0 };
@@ -104,7 +104,7 @@ fn the_loop_behaves_as_its_plant_with_the_valve_stuck_and_repaired() {
     let near = |figure: Figure, truth: f64| (figure.value / truth - 1.0).abs() < 0.1;
     assert!(near(found.now.pv_sd, sd(&record)), "{:?} {}", found.now.pv_sd, sd(&record));
     assert!(found.now.oscillates == Some(true) && found.repaired.oscillates == Some(false));
-    // Part of what is left may be model error, which a repair would take away, too.
+    // Part of the residual may be model error, which a repair would remove, too.
     let repaired = found.repaired.pv_sd.value / sd(&healthy);
     assert!((0.6..1.6).contains(&repaired), "{:?} {}", found.repaired.pv_sd, sd(&healthy));
 }

@@ -1,4 +1,4 @@
-//! Sentences made from the numbers, and the assumptions.
+//! Sentences from the numbers, and the assumptions.
 
 use super::plant::Known;
 use super::{Case, Figure, Repair, RepairParams};
@@ -6,13 +6,13 @@ use crate::core::people::size;
 use crate::core::units::number;
 use crate::core::verdict::Assessment;
 
-/// PV's spread over that of now within these is hardly a change.
+/// Ratio of PV's spread to that of now within which it hardly changes.
 const HARDLY: [f64; 2] = [0.85, 1.15];
 
-/// Ends of an interval so many times apart leave its middle without meaning.
+/// Ratio of an interval's ends from which its middle has no meaning.
 const WIDE: f64 = 3.0;
 
-/// What a case does to PV's spread.
+/// Effect of a case on PV's spread.
 #[derive(Clone, Copy, PartialEq)]
 enum Change {
     Less,
@@ -33,7 +33,7 @@ fn change(ratio: &Figure) -> Change {
     }
 }
 
-/// A number with its interval; the interval alone where its ends are so far apart that the middle says nothing.
+/// A number with its interval; the interval alone if its ends are so far apart that the middle has no meaning.
 fn said(f: &Figure) -> String {
     let [low, high] = f.interval;
     if high > WIDE * low {
@@ -42,7 +42,7 @@ fn said(f: &Figure) -> String {
     format!("{} ({} to {})", size(f.value), size(low), size(high))
 }
 
-/// What is to be said.
+/// All sentences of the report.
 pub(super) fn sentences(told: &Repair, a: &Assessment) -> Vec<String> {
     let (now, repaired, half) = (&told.now, &told.repaired, &told.half_gain);
     let mut out = vec![format!(
@@ -88,7 +88,7 @@ fn effect(lead: &str, case: &Case, now: &Case) -> String {
     }
 }
 
-/// What the stem does, as far as that is known well enough to be told.
+/// Change of the stem's movement, as far as it is known well enough to report.
 fn valve(case: &Case, now: &Case) -> String {
     let less = |of: fn(&Case) -> Figure| of(case).interval[1] < of(now).value;
     let told = |of: fn(&Case) -> Figure| format!("{} instead of {}", said(&of(case)), size(of(now).value));
@@ -104,7 +104,7 @@ fn valve(case: &Case, now: &Case) -> String {
     }
 }
 
-/// The assumptions.
+/// The assumptions of the simulation.
 pub(super) fn assumptions(told: &Repair, known: &Known<'_>, params: &RepairParams) -> Vec<String> {
     let c = known.controller;
     let ti = if c.ti_s.is_finite() { format!("Ti {} s", number(c.ti_s)) } else { "no integral action".to_owned() };
