@@ -1,4 +1,4 @@
-//! What the daemon should report at the end of known data: read from text, compared with the documents that the engine made.
+//! What the daemon should report at the end of known data: parsed from text, and compared with the engine's documents.
 //!
 //! ```toml
 //! [[case]]
@@ -20,7 +20,7 @@ use crate::config::reader::{Lines, TableReader, subtables, syntax_fault};
 use stiction::core::units::{parse_time, significant};
 use stiction::core::verdict::{Verdict, reasons};
 
-/// Keys of numbers that an expectation bounds, and where an estimate has them.
+/// Keys of numbers that an expectation can bound, and their paths in an estimate.
 const NUMBERS: [(&str, &str); 6] = [
     ("s", "/s"),
     ("j", "/j"),
@@ -30,7 +30,7 @@ const NUMBERS: [(&str, &str); 6] = [
     ("period_s", "/oscillation/period_s"),
 ];
 
-/// Digits of a number that was found: enough to see on which side of a bound it is.
+/// Significant digits of a number in a message: enough to see on which side of a bound it is.
 const DIGITS: usize = 6;
 
 /// Data of one loop, and what the daemon should report at its end.
@@ -40,17 +40,17 @@ pub struct Case {
     pub name: String,
     /// Line of its header, from 1.
     pub line: usize,
-    /// File with the data, as written: relative to the file of the case.
+    /// File with the data, relative to the file of the case.
     pub input: String,
-    /// Roles of the columns of an export, as `analyze --map` takes them; none where the names of its columns show them.
+    /// Roles of an export's columns, as in `analyze --map`; `None` if the names of the columns show them.
     pub map: Option<String>,
-    /// Time zone of an export whose times have none, as `analyze --tz` takes it.
+    /// Time zone of an export whose times have none, as in `analyze --tz`.
     pub tz: Option<String>,
-    /// The loop; none where the input has only one.
+    /// The loop; `None` if the input has only one.
     pub loop_name: Option<String>,
     /// Time after which samples are not used, ns since 1970.
     pub until_ns: Option<i64>,
-    /// At least one.
+    /// At least one expectation.
     pub expected: Vec<Expectation>,
 }
 
@@ -76,10 +76,10 @@ pub enum Wanted {
     Alarm(bool),
 }
 
-/// What the engine reported last of a loop.
+/// The engine's last reports on a loop.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Found {
-    /// The newest estimate; none before the first window.
+    /// The newest estimate; `None` before the first window.
     pub estimate: Option<Value>,
     /// Whether the alarm is active.
     pub alarm: bool,
@@ -191,7 +191,7 @@ fn read_expected(r: &mut TableReader<'_, '_>) -> Vec<Expectation> {
 }
 
 impl Found {
-    /// Takes a document that the engine made for the loop; other kinds than estimates and alarms change nothing.
+    /// Takes one of the engine's documents for the loop; only estimates and alarms have an effect.
     ///
     /// # Errors
     /// It is not JSON.
@@ -211,7 +211,7 @@ impl Found {
 }
 
 impl Case {
-    /// The expectations that do not hold: all of them where no window was judged.
+    /// The expectations that do not hold; all of them if no window was judged.
     #[must_use]
     pub fn differences(&self, found: &Found) -> Vec<Difference> {
         self.expected.iter().filter_map(|expectation| expectation.difference(found)).collect()

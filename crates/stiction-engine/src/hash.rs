@@ -1,4 +1,4 @@
-//! Short names for what is the same: of configurations, events and runs.
+//! Short hashes that identify configurations, events and runs.
 
 use sha2::{Digest, Sha256};
 use stiction::core::{CALIBRATIONS, VERSION};
@@ -9,7 +9,7 @@ pub fn short_hash(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().take(8).map(|b| format!("{b:02x}")).collect()
 }
 
-/// The version, and short hashes of all that was fitted to data: the last line of commands that measure this build.
+/// The version, and short hashes of everything that was fitted to data; the last line of commands that measure this build.
 #[must_use]
 pub fn provenance() -> String {
     let hashes = CALIBRATIONS.map(|(name, file)| format!("{name} {}", &short_hash(file.as_bytes())[..8]));

@@ -1,8 +1,8 @@
-//! A fixed part of all loops, for plants that several daemons watch: the loop's hash modulo the number of daemons.
+//! A fixed part of all loops, for plants watched by several daemons: the loop's hash modulo the number of daemons.
 
 use sha2::{Digest, Sha256};
 
-/// A hash of a name that is the same on every machine, in every build and for ever: the first 8 bytes of SHA-256.
+/// A hash of a name that is the same on every machine and in every build, for ever: the first 8 bytes of SHA-256.
 #[must_use]
 pub fn stable_hash(name: &str) -> u64 {
     Sha256::digest(name.as_bytes()).iter().take(8).fold(0, |hash, byte| hash << 8 | u64::from(*byte))
@@ -27,7 +27,7 @@ impl Shard {
     /// The only part: all loops.
     pub const WHOLE: Self = Self { index: 0, count: 1 };
 
-    /// Part `index`, from 0, of `count`; `None` where there is no such part.
+    /// Part `index`, from 0, of `count`; `None` if the index is out of range.
     #[must_use]
     pub const fn new(index: u32, count: u32) -> Option<Self> {
         if index < count && count <= Self::MOST { Some(Self { index, count }) } else { None }
@@ -40,13 +40,13 @@ impl Shard {
         Self::new(index.trim().parse().ok()?, count.trim().parse().ok()?)
     }
 
-    /// Which part it is, from 0.
+    /// Its index, from 0.
     #[must_use]
     pub const fn index(self) -> u32 {
         self.index
     }
 
-    /// Whether it is all loops.
+    /// Whether it contains all loops.
     #[must_use]
     pub const fn is_whole(self) -> bool {
         self.count == 1

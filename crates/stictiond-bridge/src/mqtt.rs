@@ -204,7 +204,7 @@ impl Bridge<'_> {
                 }
                 Ok(_) => {}
                 Err(error) => {
-                    // Told once an outage, not once a second.
+                    // Logged once per outage, not every second.
                     let text = error.to_string();
                     if outage.as_ref() != Some(&text) {
                         tracing::warn!(broker = %self.args.from.host, error = %text, "no connection to the broker; retrying every second");
@@ -236,7 +236,7 @@ impl Bridge<'_> {
             retain_forward_rule: RetainForwardRule::Never,
             ..SubscribeFilter::new(topic.clone(), QoS::AtLeastOnce)
         });
-        // Again even where it has: the topics may be others than last time.
+        // Subscribe even to a resumed session: the topics may have changed since.
         self.client.try_subscribe_many(filters).context("cannot subscribe at the broker")?;
         let _ = sd_notify::notify(&[NotifyState::Ready]);
         Ok(())

@@ -84,28 +84,28 @@ impl Command {
     }
 }
 
-/// What a person does with an alarm.
+/// Action of a person on an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AlarmAction {
-    /// Sees it.
+    /// Acknowledges it.
     Ack,
-    /// Puts it aside for a while.
+    /// Shelves it for a limited time.
     Shelve,
-    /// Ends that before its time.
+    /// Ends shelving early.
     Unshelve,
-    /// Puts it aside until further notice.
+    /// Suppresses it until further notice.
     Suppress,
-    /// Ends that.
+    /// Ends suppression.
     Unsuppress,
     /// Takes it out of service.
     OutOfService,
-    /// Puts it back into service.
+    /// Returns it to service.
     InService,
 }
 
 impl AlarmAction {
-    /// All of them.
+    /// All actions.
     pub const ALL: [Self; 7] = [
         Self::Ack,
         Self::Shelve,
@@ -144,14 +144,14 @@ impl FromStr for AlarmAction {
 /// A command on an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Command {
-    /// What is done.
+    /// The action.
     #[serde(rename = "cmd")]
     pub action: AlarmAction,
     /// Who sends it.
     pub by: Option<String>,
-    /// Why.
+    /// The reason.
     pub why: Option<String>,
-    /// Shelving time, s of the loop's own time; only for `shelve`. Default [`SHELVE_S`].
+    /// Shelving time, s of the loop's time; only for `shelve`. Default [`SHELVE_S`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub for_s: Option<u64>,
 }

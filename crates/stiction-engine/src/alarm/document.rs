@@ -1,4 +1,4 @@
-//! The alarm's document: every change as fields, so that nobody has to read prose.
+//! The alarm's document: every change as structured fields, so that no program has to parse text.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use stiction::core::verdict::{Assessment, words};
 
 /// Schema name of an alarm.
 pub const ALARM_SCHEMA: &str = "stictiond.alarm.v2";
-/// Unit of sizes where the configuration names none: whatever OP is sent in.
+/// Unit of sizes if none is configured: the unit of OP, whatever that is.
 const OP_UNIT: &str = "OP";
 
 /// What brought a document.
@@ -71,16 +71,16 @@ impl Event {
     }
 }
 
-/// Where a loop belongs and what it is worth, as the configuration says.
+/// A loop's context from the configuration: site, importance, place and neighbours.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct LoopContext {
-    /// The site's prefix: the same tag at another site is another loop.
+    /// The site's prefix, since the same tag at another site is a different loop.
     pub site: Arc<str>,
-    /// How much it matters, 1 to 5; none where the configuration says nothing of the loop.
+    /// Importance of the loop, 1 to 5; `None` without a configuration entry.
     pub criticality: Option<u8>,
     /// Part of the plant.
     pub area: Option<String>,
-    /// What the valve is called in the maintenance system.
+    /// The valve's name in the maintenance system.
     pub equipment: Option<String>,
     /// Unit of OP.
     pub op_unit: Option<String>,
@@ -190,12 +190,12 @@ impl Figures {
     }
 }
 
-/// One coming of the condition: from when it was raised until it is over and acknowledged.
+/// One occurrence of the condition: from when it was raised until it has cleared and was acknowledged.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Occurrence {
     /// When it was raised, event time, ns.
     pub since_ns: i64,
-    /// What raised it, in words.
+    /// The reason, in words.
     pub why: String,
 }
 
@@ -265,8 +265,8 @@ pub struct AlarmDocument {
 }
 
 impl AlarmDocument {
-    /// The same on a loop of this place: criticality, and with it the priority, area, equipment, unit; and the identities,
-    /// which are of the site. A place without a site leaves these as they are.
+    /// The document with the loop's context: criticality and thus priority, area, equipment and unit; the identities are made
+    /// unique for the site. A context without a site leaves the identities alone.
     #[must_use]
     pub fn at(self, place: &LoopContext) -> Self {
         let of_site = |id: String| {
@@ -290,7 +290,7 @@ impl AlarmDocument {
         }
     }
 
-    /// One line that an operator understands.
+    /// One line that an operator can understand.
     #[must_use]
     pub fn line(&self) -> String {
         let by = self.by.as_ref().map(|b| format!(" by {b}")).unwrap_or_default();
@@ -298,13 +298,13 @@ impl AlarmDocument {
     }
 }
 
-/// The identity of a change of a loop's alarm within its site: the same in a live run and its replay, another for every other
+/// Identity of a change of a loop's alarm within its site: equal in a live run and its replay, different for every other
 /// change.
 pub(super) fn event_id(loop_name: &str, changes: u64, changed_ns: i64, event: Event) -> String {
     short_hash(format!("{loop_name}\n{changes}\n{changed_ns}\n{}", event.name()).as_bytes())
 }
 
-/// The identity of an occurrence within its site.
+/// Identity of an occurrence within its site.
 pub(super) fn occurrence_id(loop_name: &str, since_ns: i64) -> String {
     short_hash(format!("{loop_name}\n{since_ns}").as_bytes())
 }

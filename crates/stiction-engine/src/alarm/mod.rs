@@ -25,9 +25,10 @@ use stiction::core::verdict::action::Action;
 use stiction::core::verdict::answer::Scale;
 use stiction::core::verdict::{Assessment, NO_VALVE, words};
 
-/// Share of the limit below which s counts towards clearing.
+/// s counts towards clearing below this fraction of the limit.
 const CLEAR_SHARE: f64 = 0.8;
-/// What a new valve with its positioner may have, % of travel (0.25 to 1 % by type), or OP units where OP's range is not known.
+/// Band that even a new valve with its positioner may have, % of travel (0.25 to 1 % by type), or OP units if OP's range is
+/// unknown.
 const NEW_VALVE: f64 = 0.5;
 /// Consecutive windows with a worse class before the alarm is raised again.
 const WORSE_WINDOWS: u8 = 2;
@@ -99,7 +100,7 @@ impl Evidence {
     }
 }
 
-/// Why windows like this one, which finds stiction, raise no alarm whatever the limits are; `None` where they may.
+/// Why a window that finds stiction raises no alarm whatever the limits are; `None` if it may raise one.
 #[must_use]
 pub fn no_alarm(a: &Assessment) -> Option<&'static str> {
     match (a.stiction?, a.s) {
@@ -114,9 +115,9 @@ fn is_sure(a: &Assessment) -> bool {
     a.explanation.is_none_or(|opinion| a.p_calibrated.unwrap_or_else(|| opinion.p()) >= opinion.cuts.alarm)
 }
 
-/// The s above which a window counts, OP units: the smaller of the limits that are set, if any. A share of a quiet loop's span
-/// is no fault of its valve: it counts from [`NEW_VALVE`] on. Where OP's range is not known, an OP that moves by no more than
-/// one unit may be a fraction of its range, and no such size is known.
+/// The s above which a window counts, OP units: the smaller of the limits that are set, if any. If OP's span is small, a
+/// fraction of it is no fault of the valve, so the limit by span is at least [`NEW_VALVE`]. If OP's range is unknown and OP
+/// moves by no more than one unit, OP may run from 0 to 1, so that minimum cannot be applied.
 fn s_limit(a: &Assessment, params: &AlarmParams) -> Option<f64> {
     let scale = Scale::of(a);
     let span = a.s.zip(a.s_over_span).map(|(s, share)| s / share).filter(|span| span.is_finite() && *span > 0.0);
@@ -188,7 +189,7 @@ pub struct Alarm {
 
 /// Reason in the document when shelving ends by itself.
 const SHELF_OVER: &str = "the shelving time has ended";
-/// The same where its loop was removed.
+/// Reason in the document when the loop is removed.
 const REMOVED: &str = "the loop was removed from the configuration";
 
 /// Default reason of a command.
@@ -205,7 +206,7 @@ const fn done_by(event: Event) -> &'static str {
 }
 
 impl Alarm {
-    /// The state as displayed: out of service before suppressed before shelved before the rest.
+    /// The displayed state: out of service takes precedence over suppressed, then shelved, then the rest.
     #[must_use]
     pub const fn shown(&self) -> State {
         match self.aside {
@@ -216,7 +217,7 @@ impl Alarm {
         }
     }
 
-    /// Whether it is active or the newest window that could answer counts towards raising it, and nobody inhibits it.
+    /// Whether it is not inhibited, and is active or has a newest informative window that counts towards raising it.
     #[must_use]
     pub fn is_active_or_near(&self) -> bool {
         (self.active || self.history_for & 1 == 1) && self.aside.is_nowhere()
@@ -369,7 +370,7 @@ impl Alarm {
         Err(CommandError::Unfit { loop_name: loop_name.to_owned(), state: self.shown().name(), why })
     }
 
-    /// Ends with its loop, which the configuration names no longer. `None` where it is at rest.
+    /// Ends the alarm of a loop that is no longer configured. `None` if it is normal.
     pub fn remove(&mut self, loop_name: &str, at_ns: i64) -> Option<AlarmDocument> {
         if self.shown() == State::Normal {
             return None;
@@ -385,7 +386,7 @@ impl Alarm {
         self.window_end_ns
     }
 
-    /// Progress: of two states of one alarm the greater is the newer.
+    /// Progress, by which of two states of the same alarm the newer one is greater.
     #[must_use]
     pub const fn progress(&self) -> (Option<i64>, u64) {
         (self.window_end_ns, self.changes)
@@ -461,13 +462,13 @@ impl Alarm {
         document.at(&LoopContext::default())
     }
 
-    /// NE 107 category: work on the device takes precedence.
+    /// NE 107 category: out of service takes precedence.
     fn ne107(&self) -> &'static str {
         Sign::of_alarm(self.active, self.aside.out_of_service).unwrap_or(Sign::NothingFound).id()
     }
 }
 
-/// The claim and the size in words.
+/// The finding and its size in words.
 fn size(a: &Assessment) -> String {
     let size = words::size(a).unwrap_or_else(|| "unknown size".to_owned());
     let p = a.p_stiction.map_or_else(String::new, |p| format!("; p {}, {}", probability(p), words::assumed(a)));

@@ -14,9 +14,10 @@ pub struct AlarmParams {
 }
 
 impl Default for AlarmParams {
-    /// A tenth of OP's span is half of what the verdict calls weak: a tenth or more of the controller's effort then goes into
-    /// the valve, whatever the size of the loop; but not below half a percent of travel, which a new valve may have. If the span is wide for other reasons, such as set-point changes, one unit of OP
-    /// (1 % if OP is in %) counts by itself, because valves are repaired above it.
+    /// A tenth of OP's span is half of the size that the verdict calls weak: the valve then takes up a tenth or more of the
+    /// controller's effort, whatever the size of the loop. It counts only above half a percent of travel, which even a new
+    /// valve may have. If the span is wide for other reasons, such as set-point changes, one unit of OP (1 % if OP is in %)
+    /// counts by itself, since valves are repaired above that.
     fn default() -> Self {
         Self { raise: [3, 4], s_limit_op: 1.0, s_limit_span: 0.1 }
     }

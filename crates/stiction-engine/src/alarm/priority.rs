@@ -19,7 +19,7 @@ pub enum Priority {
 }
 
 impl Priority {
-    /// Criticality of loops without one.
+    /// Default criticality of a loop.
     pub const CRITICALITY: u8 = 3;
 
     /// The priority for a stiction class on a loop of this criticality (1 to 5, default 3). At 3, weak is low, moderate medium,

@@ -144,7 +144,7 @@ fn what_people_do_stands_apart_from_what_raised_it() {
     let until_ns = 20 + 3_600_000_000_000;
     assert_eq!(shelved.marks.shelved.as_ref().and_then(|m| m.until_ns), Some(until_ns));
     assert_eq!(shelved.marks.shelved.and_then(|m| m.until).as_deref(), Some("1970-01-01T01:00:00.00000002Z"));
-    // Told again after a restart, it is the same event.
+    // The restored document has the identity of the same event.
     let restored = alarm.restored("L");
     assert_eq!((restored.event, &restored.event_id), (Event::Restored, &shelved.event_id));
     assert_eq!(alarm.command("L", &asks("out_of_service", None), 30).unwrap().ne107, "C");
@@ -152,7 +152,7 @@ fn what_people_do_stands_apart_from_what_raised_it() {
     let over = alarm.window("L", &assessment(1, Verdict::Tuning, 0.0, Size::Weak), &params).unwrap();
     assert_eq!((over.event, over.state, over.ne107), (Event::Cleared, State::Shelved, "none"));
     assert_eq!((&over.occurrence_id, over.since_ns, over.class), (&raised.occurrence_id, Some(10), None));
-    // At rest nothing of it is left but the shelf.
+    // In the normal state only the shelving remains.
     let taken = alarm.command("L", &asks("unshelve", None), 40).unwrap();
     assert_eq!((taken.occurrence_id, taken.why, taken.marks), (None, None, Marks::default()));
     let nobody = Command { by: None, ..asks("suppress", None) };
@@ -181,7 +181,7 @@ fn what_to_do_is_the_bump_test_of_the_estimate_in_the_places_unit() {
     let what = raised.at(&LoopContext { op_unit: Some("%".into()), ..LoopContext::default() }).what_to_do.unwrap();
     assert!(what.contains("step OP by 0.6 % one way") && what.contains("packing"), "{what}");
     assert!(what.contains("PV moves by about 3 PV units") && !what.contains("No bump test"), "{what}");
-    // A restart carries it over.
+    // The action survives a restart.
     let kept: Alarm = serde_json::from_str(&serde_json::to_string(&alarm).unwrap()).unwrap();
     assert_eq!(kept.restored("L").what_to_do, alarm.restored("L").what_to_do);
 }
@@ -194,7 +194,7 @@ fn the_limit_fits_loops_of_every_size() {
         (0..10).any(|k| alarm.window("L", &window(k), params).is_some())
     };
     let default = AlarmParams::default();
-    // A small cycle in %, one of a loop whose OP runs from 0 to 1, and a valve of some size under wide moves of OP.
+    // A small cycle in %, one of a loop whose OP runs from 0 to 1, and a larger band under wide moves of OP.
     assert!(alarms(0.6, 1.2, &default) && alarms(0.006, 0.012, &default) && alarms(1.5, 60.0, &default));
     assert!(!alarms(0.6, 20.0, &default));
     // A tenth of a quiet loop's span is less than a new valve may have.

@@ -1,10 +1,10 @@
-//! Why an alarm is not active, in words: what the newest windows of its loop counted for.
+//! Explains why an alarm is not active: how the newest windows of its loop counted.
 
 use super::{AlarmParams, Evidence, no_alarm, s_limit};
 use stiction::core::people::size;
 use stiction::core::verdict::{Assessment, words};
 
-/// Reasons that are listed at most.
+/// Most reasons listed.
 const LISTED: usize = 4;
 
 /// Why the alarm of a loop is not active after these windows, oldest first.
@@ -29,7 +29,7 @@ pub fn why_not_active(windows: &[Assessment], params: &AlarmParams) -> String {
     format!("{of}, {m} of {n} are needed{because}")
 }
 
-/// Why a window does not count towards raising the alarm; none where it does.
+/// Why a window does not count towards raising the alarm; `None` if it does.
 fn why_not(a: &Assessment, params: &AlarmParams) -> Option<String> {
     match (Evidence::of(a, params), a.stiction) {
         (Evidence::For, _) => None,

@@ -66,11 +66,11 @@ impl Cut {
         self.downsample.is_none() && self.detrend.is_none()
     }
 
-    /// One section of a loop's points as a record of at most `max_points`, detrended and downsampled; and notes for the user, one
-    /// line each.
+    /// The record of one section with at most `max_points` points, detrended and downsampled; and notes for the user, one line
+    /// each.
     ///
     /// # Errors
-    /// No data in it, or too little.
+    /// The section has no data, or too little.
     pub fn record(
         &self,
         points: &Points,
@@ -90,7 +90,7 @@ impl Cut {
             return Err(AnalysisError::Sparse { name, samples, ratio: asked, needed });
         }
         let fewer = if self.like_toolbox { decimated } else { boxed };
-        // More points than fits take are averaged, or dropped, further.
+        // If there are still too many points for a fit, reduce them further.
         let times = (samples as f64 / asked / max_points as f64).ceil().max(1.0);
         let ratio = asked * times;
         if times > 1.0 {
@@ -169,7 +169,7 @@ mod tests {
             let record = cut.record(&points, Section::Whole, 2000).unwrap().0;
             assert_eq!(record.op_path, plain.op_path);
             let drift = record.pv[572] - record.pv[7];
-            // 565 samples are 8.99 turns of the sine.
+            // 565 samples are 8.99 periods of the sine.
             assert_eq!(drift.abs() < 0.3, kind == Detrend::Linear, "{kind:?}: {drift}");
         }
     }

@@ -44,7 +44,7 @@ impl Iterator for Due<'_> {
             self.engine.push(id, *self.samples.next()?, &mut self.events);
             for event in std::mem::take(&mut self.events) {
                 if let Event::Request(request) = event {
-                    // Answers would only move alarms, which nobody asks for here; a window without one is held for ever.
+                    // Answers would only affect alarms, which are not needed here; an unanswered window would be kept for ever.
                     self.engine.skip(id, request.seq, &mut self.events);
                     self.ready.push_back(*request);
                 }

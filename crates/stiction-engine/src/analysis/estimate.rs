@@ -81,9 +81,9 @@ pub struct FitOverrides {
     pub valve: ValveChoice,
     /// Dead time.
     pub delay: DelayChoice,
-    /// OP's range, `[low, high]`; `None` keeps the loop's own.
+    /// OP's range, `[low, high]`; `None` keeps the loop's range.
     pub op_range: Option<[f64; 2]>,
-    /// Share of such loops that sticks; `None` keeps the loop's own.
+    /// Share of such loops that stick; `None` keeps the loop's value.
     pub prevalence: Option<f64>,
     /// Step of the contour grid, % of OP's span.
     pub fineness_pct: f64,
@@ -149,7 +149,7 @@ pub fn estimate(
     if let (DelayChoice::Samples(count), Some(left)) = (params.fit.delay, &taken.downsample) {
         params.fit.delay = DelayChoice::Seconds(count * left.ts_s);
     }
-    // What was asked to be looked at in another density or without its trend is taken as it then stands.
+    // A section with another density or without its trend is judged as a single window.
     let windows = if cut.is_plain() { points.windows(section)? } else { Vec::new() };
     let assessment = assess_in_windows(&record, &windows, &params);
     let period_points = assessment.oscillation.period_s.map(|period| period / record.point_s());
@@ -160,7 +160,7 @@ pub fn estimate(
     Ok(Estimated { record, taken, params, assessment, options, notes })
 }
 
-/// Whether the range can be that of OP.
+/// Checks that the range can be OP's.
 fn check_range(name: &str, op: &[f64], range: [f64; 2]) -> Result<(), AnalysisError> {
     let ends = |of: fn(f64, f64) -> f64| op.iter().copied().reduce(of).unwrap_or_default();
     let (name, ends) = (name.to_owned(), [ends(f64::min), ends(f64::max)]);
@@ -173,10 +173,10 @@ fn check_range(name: &str, op: &[f64], range: [f64; 2]) -> Result<(), AnalysisEr
     Ok(())
 }
 
-/// Share of its width by which OP may go beyond its range, as controllers let it.
+/// Fraction of its width by which OP may exceed its range, as controllers allow.
 const BEYOND: f64 = 0.1;
 
-/// Whether most of OP lies beyond its range, so that the range is not OP's.
+/// Whether most of OP is outside the range, so that the range cannot be OP's.
 fn is_outside(op: &[f64], [low, high]: [f64; 2]) -> bool {
     let beyond = BEYOND * (high - low);
     let outside = op.iter().filter(|x| !(low - beyond..=high + beyond).contains(*x)).count();
@@ -190,7 +190,7 @@ pub fn span_of(record: &Record) -> Option<f64> {
 }
 
 impl Estimated {
-    /// The document, under a configuration's hash; `elapsed_ms` is from record to result.
+    /// The document, with a configuration's hash; `elapsed_ms` is the time from record to result.
     #[must_use]
     pub fn answer(
         &self,

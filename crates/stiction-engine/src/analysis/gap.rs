@@ -79,7 +79,7 @@ pub struct Diagnosed {
     pub record: Record,
     /// The fits behind it.
     pub diagnosis: Diagnosis,
-    /// What `analyze` makes of the record.
+    /// The estimate of the same record.
     pub assessment: Option<Assessment>,
 }
 
@@ -95,7 +95,7 @@ pub fn record(points: &Points, section: Section, cut: &Cut) -> Result<(Record, V
 /// Another loop on the grid of a diagnosed record.
 ///
 /// # Errors
-/// What is wrong with it, with its name and what to do.
+/// Names the loop, the problem and its remedy.
 pub fn neighbour(points: &Points, record: &Record) -> Result<Neighbour, String> {
     let name = &points.name;
     let section = Section::Window(record.start_ns, record.end_ns);
@@ -104,14 +104,14 @@ pub fn neighbour(points: &Points, record: &Record) -> Result<Neighbour, String> 
     Neighbour::of(name, &other, record).map_err(|e| e.to_string())
 }
 
-/// What `analyze` makes of a section; `None` where it has no estimate.
+/// The estimate of a section; `None` if there is none.
 #[must_use]
 pub fn assessment(points: &Points, section: Section, cut: &Cut) -> Option<Assessment> {
     let params = FitOverrides::default().over(&points.settings.assess);
     estimate(points, section, cut, params).ok().map(|found| found.assessment)
 }
 
-/// Diagnoses a record of a loop, beside what `analyze` makes of it.
+/// Diagnoses a record of a loop; `assessment` is its estimate.
 ///
 /// # Errors
 /// An unknown effect, or a record that cannot be diagnosed.
@@ -127,19 +127,19 @@ pub fn diagnose(
     Ok(Diagnosed { document, record, diagnosis, assessment })
 }
 
-/// Windows of one valve, with what each alone came to.
+/// One window of a valve, with its separate diagnosis.
 #[derive(Debug, Clone)]
 pub struct DiagnosedWindow {
     /// Where it comes from.
     pub source: String,
-    /// The diagnosis of it alone.
+    /// Its separate diagnosis.
     pub alone: Diagnosed,
 }
 
-/// Decides from several windows; what it gives is of the window that shows the answer best, and its place.
+/// Decides from several windows. Returns the diagnosis of the window that shows the answer best, and its index.
 ///
 /// # Errors
-/// A window that does not fit the others, with its name.
+/// Names a window that does not match the others.
 pub fn decide_together(windows: &[DiagnosedWindow], settings: &GapSettings) -> Result<(usize, Diagnosed), PoolError> {
     check_distinct(windows)?;
     if let Some(window) = windows.iter().find(|w| w.alone.diagnosis.is_worse_than_mean()) {
@@ -158,7 +158,7 @@ pub fn decide_together(windows: &[DiagnosedWindow], settings: &GapSettings) -> R
     Ok((together.clearest, Diagnosed { document, record, diagnosis, assessment }))
 }
 
-/// The same samples under two names would count twice.
+/// Refuses equal windows: the same samples under two names would count twice.
 fn check_distinct(windows: &[DiagnosedWindow]) -> Result<(), PoolError> {
     let is_same = |x: &Record, y: &Record| x.op_path == y.op_path && x.pv == y.pv;
     for (at, window) in windows.iter().enumerate() {

@@ -1,5 +1,5 @@
-//! From a recording's samples to the answers of `analyze` and `gap`: join rows, select and thin a section, fit, make the
-//! document and its text. Files and arrays give bit-identical numbers for the same samples.
+//! From a recording's samples to the answers of `analyze` and `gap`: joins rows, selects and thins a section, fits, and writes
+//! the document and its text. Files and arrays give bit-identical numbers for the same samples.
 //!
 //! | step | in |
 //! |---|---|
@@ -69,7 +69,7 @@ pub enum AnalysisError {
     Fraction { name: String, op: [f64; 2], range: [f64; 2] },
 }
 
-/// Where a loop has samples with both OP and PV.
+/// The remedy: where the loop has samples with both OP and PV.
 fn remedy(joined_ns: Option<[i64; 2]>) -> String {
     match joined_ns.map(|ends| ends.map(format_rfc3339)) {
         Some([first, last]) => format!("the loop has such samples from {first} to {last}"),

@@ -1,4 +1,4 @@
-//! The loops of one plant judged together, after each was judged by itself.
+//! The loops of one plant judged together, after each was judged separately.
 
 use std::collections::HashSet;
 
@@ -10,11 +10,11 @@ use stiction::core::record::Record;
 /// One loop of a plant.
 #[derive(Debug)]
 pub struct OfPlant<'a> {
-    /// Its own answer.
+    /// Its separate answer.
     pub answer: &'a mut Answer,
     /// The record behind the answer.
     pub record: &'a Record,
-    /// Where it is in the plant, as far as that is configured.
+    /// Its configured context.
     pub place: &'a LoopContext,
 }
 

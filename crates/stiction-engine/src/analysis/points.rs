@@ -76,15 +76,15 @@ pub fn usable(samples: &[Sample]) -> usize {
     of(Signal::Op).min(of(Signal::Pv))
 }
 
-/// Share of a signal's values with the timestamp of another value from which a note tells them.
+/// A note is given if more than this fraction of a signal's values share their timestamp with a different value.
 const REPEATS: f64 = 0.01;
 
-/// A note for OP and PV each where many of its values share their timestamps: of these one is used.
+/// Notes for OP and PV if many of their values share timestamps, of which only one is used.
 #[must_use]
 pub fn repeated_timestamps(samples: &[Sample]) -> Vec<String> {
     let note = |signal: Signal| {
         let of: Vec<&Sample> = samples.iter().filter(|s| s.signal == signal).collect();
-        // The same value twice, as where two exports overlap, loses nothing.
+        // A repeated equal value, as in overlapping exports, loses nothing.
         let is_repeat = |pair: &&[&Sample]| pair[0].t_ns == pair[1].t_ns && pair[0].value != pair[1].value;
         let (all, repeats) = (of.len(), of.windows(2).filter(is_repeat).count());
         (repeats as f64 > REPEATS * all as f64).then(|| {
@@ -110,14 +110,14 @@ pub struct Points {
     stretches: Vec<Vec<Point>>,
 }
 
-/// A whole recording as it is judged.
+/// A whole recording in the form in which it is judged.
 #[derive(Debug, Clone)]
 pub struct Judgeable {
     /// Longest section without a data gap.
     pub record: Record,
     /// Windows of a long recording; each is judged.
     pub windows: Vec<Record>,
-    /// How it is judged.
+    /// Parameters of the judgement.
     pub params: AssessParams,
 }
 
@@ -158,7 +158,7 @@ impl Points {
             "OP and PV look swapped: a controller would compute the signal named PV from the one named OP; check the tags"
                 .to_owned()
         };
-        // Where the set point is known, a gate asks it.
+        // If the set point is known, a gate checks this instead.
         let is_swapped = record.sp.is_none() && swapped::by_controller(&record);
         let notes = (outside > 0).then(gaps).into_iter().chain(is_swapped.then(names_swapped)).collect();
         Ok((record, notes))
@@ -173,7 +173,7 @@ impl Points {
         Ok(windows(longest(&self.stretches, from_ns, to_ns).0, &self.settings.window))
     }
 
-    /// The whole recording as it is judged, and notes for the user.
+    /// The whole recording in the form in which it is judged, and notes for the user.
     ///
     /// # Errors
     /// There is no sample with both OP and PV.

@@ -26,9 +26,9 @@ fn row(diagnosis: &Diagnosis, record: &Record, t_ns: i64, k: usize) -> Row {
     Row { t_ns, pv: record.pv[k], simulated, held_out: simulated.is_some() && is_held_out }
 }
 
-/// A row for every sample of the section. Free runs are given where they count: not while the valve's unknown past matters,
-/// not at masked points, not outside the simulated stretch. If a simulated point covers several samples, a row is such a
-/// point with PV's mean.
+/// A row for every sample of the section. Free runs are given where they are scored: not while the valve's unknown past
+/// matters, not at masked points, and not outside the simulated stretch. If a simulated point covers several samples, the row
+/// is that point with the mean of PV.
 #[must_use]
 pub fn rows(section: &[Point], record: &Record, diagnosis: &Diagnosis) -> Vec<Row> {
     let row = |t_ns: i64, k: usize| row(diagnosis, record, t_ns, k);

@@ -1,55 +1,55 @@
-//! Rows of a table to samples: which cells are missing values, which are none, and in which order rows are taken.
+//! Rows of a table to samples: which empty cells are missing values and which are no samples, and the order of rows.
 //!
-//! An empty cell of OP or PV is a missing sample. In the other columns it is no sample (set points and modes are often
-//! written when they change), and so it is where OP and PV stand in rows of their own, as when both carry their own
-//! stamps. A table whose rows are newest first, or shuffled, is sorted by time. Each change gives a line.
+//! An empty cell of OP or PV is a missing sample. In other columns it is no sample, since set points and modes are often
+//! written only when they change. The same holds for OP and PV if they are in separate rows, each with its stamps. A table with
+//! rows that are newest first or shuffled is sorted by time. Each correction is noted in one line.
 
 use std::collections::HashSet;
 
 use stiction::core::record::{Sample, Signal, Value};
 
-/// Steps back from which a table stands newest first, if they outnumber the steps on.
+/// A table counts as newest first from this many backward steps on, if they outnumber the forward steps.
 const NEWEST_FIRST: u64 = 3;
-/// Steps back from which a table is in disorder, if they are one in twenty: recordings have a few late rows, which stay where
-/// they came.
+/// A table counts as shuffled from this many backward steps on, if they are at least one in twenty: recordings have a few late
+/// rows, which are left in place.
 const DISORDER: u64 = 10;
 /// Fewest samples of a sorted block.
 const BLOCK: usize = 20;
 
-/// Rows as they come.
+/// Rows as they are added.
 #[derive(Debug, Clone, Default)]
 pub struct Rows {
     out: Joined,
     /// Indices of samples that stand for empty cells.
     empty: Vec<usize>,
-    /// Whether the row under way has OP, and PV.
+    /// Whether the current row has OP, and PV.
     has: [bool; 2],
     /// Rows with OP and PV, with OP alone, with PV alone.
     both: u64,
     op_only: u64,
     pv_only: u64,
-    /// Time of the row under way, and how often time went on or back from one row to the next.
+    /// Time of the current row, and how often time went forward or back between rows.
     t_ns: Option<i64>,
     forward: u64,
     backward: u64,
     repeated: u64,
 }
 
-/// The samples of a table.
+/// The samples of a table, with notes.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Joined {
-    /// Samples in the order of the rows; within a row as they were handed in.
+    /// Samples in the order of the rows, and within a row in the order in which they were added.
     pub samples: Vec<Sample>,
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
-    /// Cells that are empty or not finite.
+    /// Number of cells that are empty or not finite.
     pub missing: u64,
-    /// What a person should know, one line each.
+    /// Notes for the user, one line each.
     pub warnings: Vec<String>,
 }
 
 impl Rows {
-    /// A new row; its cells follow.
+    /// Starts a row; its cells follow.
     pub fn begin(&mut self, t_ns: i64) {
         self.close();
         self.out.rows += 1;
@@ -60,7 +60,8 @@ impl Rows {
         }
     }
 
-    /// A cell of the row with its quality, `None` where it is empty; cells of a row come in the order of [`Signal::ALL`].
+    /// Adds a cell of the row with its quality, or `None` if it is empty; the cells of a row come in the order of
+    /// [`Signal::ALL`].
     pub fn cell(&mut self, signal: Signal, cell: Option<(Value, Option<u32>)>) {
         let required = match signal {
             Signal::Op => Some(0),
@@ -93,7 +94,7 @@ impl Rows {
     #[must_use]
     pub fn finish(mut self) -> Joined {
         self.close();
-        // A dead sensor leaves rows of one kind only.
+        // A dead sensor gives such rows for one signal only.
         if self.op_only.min(self.pv_only) > self.both {
             self.out.warnings.push(format!(
                 "op and pv are in separate rows ({} and {} of {} rows): empty cells are not samples",
@@ -108,7 +109,7 @@ impl Rows {
         self.out
     }
 
-    /// Sorts a table by time if its rows are newest first or shuffled; rows of one time stay as they came.
+    /// Sorts a table by time if its rows are newest first or shuffled; rows with equal times keep their order.
     fn order(&mut self) {
         let out = &mut self.out;
         let newest_first = self.backward >= NEWEST_FIRST && self.backward > self.forward;
@@ -122,7 +123,7 @@ impl Rows {
         out.samples.sort_by_key(|sample| sample.t_ns);
     }
 
-    /// Drops the rows that overlapping tables have twice.
+    /// Drops rows that are repeated because tables overlap.
     fn drop_repeated(&mut self) {
         let key = |s: &Sample| {
             let mode = if let Value::Mode(mode) = s.value { Some(mode) } else { None };

@@ -66,7 +66,7 @@ const fn class_of(process: &Process) -> Class {
     }
 }
 
-/// Mean squared error of the assessment's own bands on the surface.
+/// Mean squared error of the assessment's bands on the surface.
 #[must_use]
 pub fn own_mse(surface: &mut Surface, found: &Assessment) -> Option<f64> {
     let own = found.fs.zip(found.fd);

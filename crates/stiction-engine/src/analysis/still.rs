@@ -1,4 +1,4 @@
-//! Values that an export repeats: held over its rows, or standing still for long.
+//! Values that an export repeats: held over its rows, or frozen for a long time.
 
 use stiction::core::record::{Sample, Signal};
 use stiction::core::signal::held::held_over;
@@ -25,7 +25,7 @@ fn of_signal(signal: Signal, samples: &[Sample]) -> Vec<String> {
         let every_s = s_from_ns(span_ns) / (times.len() - 1) as f64 * rows as f64;
         notes.push(format!("{name} is held over {rows} rows: it was sampled every {} s", number(every_s)));
     }
-    // Runs of equal values, from and to.
+    // Runs of equal values, as first and last index.
     let mut runs: Vec<(usize, usize)> = Vec::new();
     for (k, value) in values.iter().enumerate() {
         match runs.last_mut() {
@@ -69,7 +69,7 @@ mod tests {
         let frozen = |k: i64| if (100..160).contains(&k) || (300..341).contains(&k) { 7.5 } else { noise(k) };
         let text = "PV stands still in 2 stretches, 17 % of its values; the longest is 1970-01-01T00:01:40Z to 1970-01-01T00:02:39Z";
         assert_eq!(notes(frozen), [text]);
-        // A slow sensor of few steps is no frozen one.
+        // A slow sensor with coarse steps is not a frozen one.
         assert_eq!(notes(|k| (k / 31) as f64), Vec::<String>::new());
     }
 }

@@ -7,7 +7,7 @@ use stiction::core::verdict::action::Action;
 use stiction::core::verdict::answer::{self, Scale};
 use stiction::core::verdict::{Assessment, EstimateDocument, Gate, Process, words};
 
-/// Rows of text: a name and what it says, a name only where it changes.
+/// Rows of text with a name and a value; the name is omitted where it repeats.
 struct Rows(Vec<String>);
 
 impl Rows {
@@ -15,7 +15,7 @@ impl Rows {
         self.0.push(format!("  {name:<12} {}", value.as_ref()));
     }
 
-    /// One name, an item a line.
+    /// Several items under one name, one a line.
     fn list(&mut self, name: &str, items: impl IntoIterator<Item = String>) {
         for (k, item) in items.into_iter().enumerate() {
             self.add(if k == 0 { name } else { "" }, item);
@@ -23,7 +23,7 @@ impl Rows {
     }
 }
 
-/// Everything an estimate says: verdict, size, confidence, action, then the numbers.
+/// Everything in an estimate: verdict, size, confidence, action, then the numbers.
 fn estimate(document: &EstimateDocument, box_samples: f64, explain: bool) -> Rows {
     let a = &document.assessment;
     let mut rows = Rows(vec![format!("{}: {}: {}", document.loop_name, a.verdict.name(), words::headline(a))]);
@@ -63,7 +63,7 @@ fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
     let w = &a.window;
     let averaged = if box_samples > 1.0 { format!(", averaged over {box_samples}") } else { String::new() };
     let (stretch, ts) = (units::from_to(w.start_ns, w.end_ns), units::number(w.ts_s));
-    // Uneven times are brought onto a grid, so these are not the rows of the file.
+    // Uneven samples are resampled onto a grid, so these are not the rows of the file.
     let grid = if a.gates.contains(&Gate::Irregular) { " on an even grid" } else { "" };
     rows.add("window", format!("{stretch}, {} samples of {ts} s{grid}{averaged}", w.samples));
     let o = &a.oscillation;
@@ -127,11 +127,11 @@ fn bands(a: &Assessment, rows: &mut Rows) {
     rows.add("class", [class, region].into_iter().flatten().collect::<Vec<_>>().join(", "));
 }
 
-/// Time constants that hardly differ, up to so many samples: what they are together is known, not the order.
+/// Two time constants within this ratio and up to this many samples: their sum is known, but not the order.
 const ALIKE: f64 = 1.3;
 const SHORT: f64 = 5.0;
 
-/// A tested model with its intervals; of one that was not, only that.
+/// A tested model with its intervals; an untested one is not given.
 fn process(p: &Process, ts_s: f64) -> String {
     if !p.tested {
         return "not given: the record does not test a model (nothing but the controller moves OP, or the model does not hold in the \
@@ -162,7 +162,7 @@ fn process(p: &Process, ts_s: f64) -> String {
     )
 }
 
-/// An estimate with what `analyze` adds: what was looked at, what was enforced, what the solver found.
+/// An estimate with the additions of `analyze`: the data used, the constraints, the solver's result.
 #[must_use]
 pub fn answer(answer: &Answer) -> String {
     said(answer, false)
@@ -244,7 +244,7 @@ fn said(answer: &Answer, explain: bool) -> String {
     rows.0.join("\n")
 }
 
-/// A mean squared error with digits enough to compare two models.
+/// A mean squared error with enough digits to compare two models.
 fn mean_square(value: f64) -> String {
     significant(value, 5)
 }

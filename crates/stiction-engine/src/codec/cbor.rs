@@ -92,7 +92,7 @@ mod tests {
         out.iter().map(|s| (s.t_ns, s.value, s.quality)).collect()
     }
 
-    /// Bytes as RFC 8949's appendix A and Python's cbor2 write them.
+    /// The examples are encoded as in RFC 8949, appendix A, and by Python's cbor2.
     #[test]
     fn every_shape_of_json_is_read() {
         assert_eq!(read(&[0xfb, 0x3f, 0xf1, 0x99, 0x99, 0x99, 0x99, 0x99, 0x9a]), [(5, Value::Number(1.1), None)]);
@@ -100,7 +100,7 @@ mod tests {
         assert_eq!(read(&[0x39, 0x03, 0xe7]), [(5, Value::Number(-1000.0), None)]);
         assert_eq!(read(&[0xf6]), [(5, Value::Missing, None)]);
         assert_eq!(read(&[0xf9, 0x7e, 0x00]), [(5, Value::Missing, None)]);
-        // {"t": 9, "v": 2, "q": 0}, and an indefinite array of it and of 3.
+        // {"t": 9, "v": 2, "q": 0}, and an indefinite array of it and 3.
         let object = b"\xa3\x61t\x09\x61v\x02\x61q\x00";
         assert_eq!(read(object), [(9, Value::Number(2.0), Some(0))]);
         let array = [b"\x9f".as_slice(), object, b"\x03\xff"].concat();

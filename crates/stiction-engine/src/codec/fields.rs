@@ -22,7 +22,7 @@ const MAX_NAME_BYTES: usize = 512;
 /// Most that all names take, and those of one node, bytes.
 const MAX_BYTES: usize = 128 << 20;
 const NODE_BYTES: usize = MAX_BYTES / 4;
-/// What a node, a device and a metric take besides their names, bytes.
+/// Estimated memory of a node, a device and a metric without their names, bytes.
 const PER_NODE: usize = 320;
 const PER_DEVICE: usize = 160;
 const PER_METRIC: usize = 96;
@@ -32,7 +32,7 @@ const PER_METRIC: usize = 96;
 #[derive(Debug, Default)]
 pub struct Memory {
     nodes: HashMap<Box<str>, Node>,
-    /// Nodes by when they were heard last.
+    /// Nodes by when they were last heard.
     order: BTreeMap<u64, Box<str>>,
     heard: u64,
     bytes: usize,
@@ -62,12 +62,12 @@ fn node_of(device: &str) -> &str {
 }
 
 impl Memory {
-    /// Names that were left out or forgotten since this was asked last.
+    /// Number of names left out or forgotten since the last call.
     pub fn take_lost(&mut self) -> u64 {
         std::mem::take(&mut self.lost)
     }
 
-    /// A node or one of its devices is heard.
+    /// Notes that a node or one of its devices was heard.
     pub(super) fn hear(&mut self, device: &str) {
         let Some(node) = self.nodes.get_mut(node_of(device)) else { return };
         self.heard += 1;
@@ -77,7 +77,7 @@ impl Memory {
         }
     }
 
-    /// Keeps a name, if there is room for it.
+    /// Stores a name, if there is room.
     pub(super) fn learn(&mut self, device: &str, alias: u64, named: AliasedMetric) {
         let name = node_of(device);
         if named.name.len() > MAX_NAME_BYTES || device.len() > MAX_NAME_BYTES {
@@ -106,7 +106,7 @@ impl Memory {
         self.make_room(name);
     }
 
-    /// Forgets the nodes that were heard longest ago, but for this one, until the names fit.
+    /// Forgets the nodes that were heard longest ago, except `but`, until the names fit.
     fn make_room(&mut self, but: &str) {
         while self.bytes > MAX_BYTES {
             let Some((heard, name)) = self.order.pop_first() else { return };
@@ -266,7 +266,7 @@ mod tests {
         (0..100_000).for_each(|alias| memory.learn("g/greedy", alias, named(&long)));
         assert!(memory.take_lost() > 0 && memory.nodes["g/greedy"].bytes <= NODE_BYTES);
         assert!(memory.named("g/silent", 1).is_some());
-        // Many can, but not one that is heard.
+        // Many strangers can push nodes out, but not one that is still heard.
         for k in 0..400 {
             (0..1000).for_each(|alias| memory.learn(&format!("g/stranger{k}"), alias, named(&long)));
             memory.hear("g/plant");

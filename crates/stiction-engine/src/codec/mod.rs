@@ -132,7 +132,7 @@ pub enum CodecError {
     /// An unknown configured format.
     #[error("{0:?} is not a format; use auto or one of {all}", all = names().join(", "))]
     UnknownCodec(String),
-    /// The message names an encoding that is none of the formats.
+    /// The message names an encoding that is not supported.
     #[error("the encoding {0:?} is not read; send one of {all}, or set codec in the configuration if it is one of these", all = names().join(", "))]
     Encoding(String),
     /// No format recognises the bytes.
@@ -226,7 +226,7 @@ fn choose(payload: &[u8], encoding: Option<&str>, configured: Option<&str>) -> R
     match (encoding.and_then(by_encoding), configured) {
         (Some(codec), _) => Ok(codec),
         (None, Some(name)) if name != AUTO => by_name(name).ok_or_else(|| CodecError::UnknownCodec(name.to_owned())),
-        // Eight bytes of another encoding would pass for a number.
+        // With an unknown encoding, eight bytes would be taken for a number.
         _ if encoding.is_some_and(|named| !is_unnamed(named)) => {
             Err(CodecError::Encoding(encoding.unwrap_or_default().chars().take(60).collect()))
         }

@@ -88,7 +88,7 @@ fn push(head: &str, name: &str, value: &Json, said: Said, out: &mut Vec<Field>) 
         Json::Null => Scalar::Missing,
         Json::Array(_) | Json::Object(_) => return Err(format!("{:?} is not a value", short(name))),
     };
-    // One more than may be is enough for the whole payload to be refused.
+    // One more than the limit is enough to refuse the whole payload.
     if out.len() <= MAX_SAMPLES {
         out.push(Field::new(head, name, said.t_ns, value, said.quality));
     }

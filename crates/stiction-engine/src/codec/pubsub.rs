@@ -44,7 +44,7 @@ impl Codec for PubSub {
     }
 }
 
-/// Whether JSON may contain words for names: not if its first is a letter, as for single samples.
+/// Whether JSON may contain the words of this format as names: not if its first text is a single letter, as in samples.
 fn has_names(payload: &[u8]) -> bool {
     let starts = payload.iter().find(|b| !b.is_ascii_whitespace()).is_some_and(|b| b"[{".contains(b));
     let first = payload.iter().position(|b| *b == b'"');
@@ -123,7 +123,7 @@ fn scalar(value: &Json, wide: bool) -> Scalar {
     match value {
         Json::Number(number) => number.as_f64().map_or(Scalar::Missing, Scalar::Number),
         Json::Bool(on) => Scalar::Number(f64::from(u8::from(*on))),
-        // JSON has no word for what is not finite, and 64-bit integers stand as texts.
+        // JSON cannot express values that are not finite, and 64-bit integers are written as text.
         Json::String(text) if wide || matches!(text.as_str(), "NaN" | "Infinity" | "-Infinity") => {
             text.parse().map_or(Scalar::Missing, Scalar::Number)
         }
@@ -135,7 +135,7 @@ fn scalar(value: &Json, wide: bool) -> Scalar {
 fn status_of(status: Option<&Json>) -> Result<Option<u32>, CodecError> {
     let code = match status {
         None | Some(Json::Null) => return Ok(None),
-        // Good has no code where its object is empty.
+        // Good is an empty object without a code.
         Some(Json::Object(object)) => match object.get("Code") {
             None => return Ok(Some(0)),
             Some(code) => code.as_u64(),

@@ -26,7 +26,7 @@ pub fn encode_recorded(sample: &Sample, out: &mut Vec<u8>) {
 /// # Errors
 /// [`CodecError`] for anything that is not exactly one sample with its time.
 pub fn decode_recorded(signal: Signal, payload: &[u8]) -> Result<Sample, CodecError> {
-    // The earliest time stands for an absent one; a sample that truly has it still carries its key.
+    // The earliest time serves as the marker for an absent time.
     let mut out = Vec::with_capacity(1);
     decode(signal, payload, Some("application/json"), None, i64::MIN, &mut out)?;
     let [sample] = out[..] else { return Err(CodecError::NotOneSample(out.len())) };

@@ -142,7 +142,7 @@ impl Codec for Sparkplug {
             }
         }
         match nameless {
-            // What has a name is taken all the same.
+            // Metrics with names are used all the same.
             Some(alias) if out.is_empty() => Err(wrong(format!(
                 "alias {alias} of {:?} has no name yet; wait for the next birth message or request a rebirth",
                 sender.whole

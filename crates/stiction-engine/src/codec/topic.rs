@@ -9,14 +9,14 @@ use stiction::core::record::Signal;
 /// Topic levels below which the daemon publishes.
 pub const OUTPUT_CHUNKS: &str = "@stiction/v1";
 
-/// In place of a loop's name: many loops together. Groups are below it, each under the first of its members' names.
+/// Takes the place of the loop's name for many loops together. Groups are below it, each under the first of its members' names.
 pub const PLANT: &str = "@plant";
 
 /// Schema name of a loop's health.
 pub const LOOP_HEALTH_SCHEMA: &str = "stictiond.loop_health.v1";
 /// Schema name of the daemon's own health.
 pub const DAEMON_HEALTH_SCHEMA: &str = "stictiond.daemon_health.v1";
-/// Schema name of the summary of what keeps loops from being judged.
+/// Schema name of the summary of obstacles that keep loops from being judged.
 pub const DATA_HEALTH_SCHEMA: &str = "stictiond.data_health.v1";
 
 /// Kind of a message; each has its own schema in a recording.
@@ -36,7 +36,7 @@ pub enum Kind {
     Group,
     /// The daemon's or a loop's health.
     Health,
-    /// The summary of what keeps loops from being judged.
+    /// The summary of obstacles that keep loops from being judged.
     DataHealth,
     /// Initial state of a run.
     State,
@@ -126,7 +126,7 @@ pub enum Leaf {
 pub struct Topic<'a> {
     /// Prefix of the site; empty in foreign recordings.
     pub prefix: &'a str,
-    /// Loop name; `@daemon/{id}` for the daemon's own documents, [`PLANT`] and below for those of many loops.
+    /// Loop name; `@daemon/{id}` for the daemon's own documents, [`PLANT`] or below it for those of many loops.
     pub loop_name: &'a str,
     /// Kind of its messages.
     pub leaf: Leaf,
@@ -154,7 +154,7 @@ impl<'a> Topic<'a> {
         Some(Self { prefix, loop_name, leaf: Leaf::Raw(signal) })
     }
 
-    /// Whether it is of many loops together.
+    /// Whether it concerns many loops together.
     #[must_use]
     pub fn is_of_plant(&self) -> bool {
         self.loop_name.strip_prefix(PLANT).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))

@@ -1,4 +1,4 @@
-//! What differs between two configurations: loops, settings that a running daemon takes over, and those that need a restart.
+//! Differences between two configurations: loops, settings that can change at run time, and settings that need a restart.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
@@ -11,7 +11,7 @@ use super::{Config, LoopConfig};
 use stiction::core::record::Signal;
 use stiction::core::units::LoopKind;
 
-/// Settings outside `[[loop]]` that a running daemon takes over; all others need a restart.
+/// Settings outside `[[loop]]` that can change at run time; all others need a restart.
 const AT_ONCE: [&str; 11] = [
     "window",
     "verdict",
@@ -25,38 +25,38 @@ const AT_ONCE: [&str; 11] = [
     "recording.max_bytes",
     "recording.max_s",
 ];
-/// Names that one line lists.
+/// Most names listed in one line.
 const LISTED: usize = 20;
 
-/// What differs between the configuration in force and another one.
+/// Differences between the configuration in force and a new one.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct ConfigChanges {
-    /// Loops that only the other one names.
+    /// Loops that are new.
     pub added: Vec<String>,
-    /// Loops that both name, with other settings.
+    /// Loops in both, with different settings.
     pub changed: Vec<ChangedLoop>,
-    /// Loops that only the one in force names.
+    /// Loops that are no longer in it.
     pub removed: Vec<String>,
-    /// Settings outside `[[loop]]` that a running daemon takes over, by their dotted keys.
+    /// Settings outside `[[loop]]` that can change at run time, by their dotted keys.
     pub settings: Vec<String>,
     /// Settings that need a restart of the daemon.
     pub restart: Vec<String>,
 }
 
-/// A loop with other settings.
+/// A loop with different settings.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct ChangedLoop {
     /// Its name.
     #[serde(rename = "loop")]
     pub name: String,
-    /// The keys that differ, those that it takes from `[window]` and `[alarm]` included.
+    /// The keys that differ, including those inherited from `[window]` and `[alarm]`.
     pub keys: Vec<String>,
     /// Whether its window starts empty.
     pub window_starts_empty: bool,
 }
 
 impl ChangedLoop {
-    /// Whether its signals come under other keys.
+    /// Whether its signals have different keys.
     #[must_use]
     pub fn is_remapped(&self) -> bool {
         self.keys.iter().any(|key| Signal::ALL.iter().any(|signal| setting_of(*signal) == key))
@@ -70,7 +70,7 @@ impl ConfigChanges {
         *self == Self::default()
     }
 
-    /// Why a running daemon cannot take the other configuration over, and the remedy; none where it can.
+    /// Why a running daemon cannot adopt the new configuration, and the remedy; `None` if it can.
     #[must_use]
     pub fn refusal(&self) -> Option<String> {
         (!self.restart.is_empty()).then(|| {
@@ -104,7 +104,7 @@ impl fmt::Display for ConfigChanges {
     }
 }
 
-/// The first names, and how many more there are.
+/// The first names, and the number of further ones.
 fn listed(names: impl ExactSizeIterator<Item = String>) -> String {
     let more = names.len().saturating_sub(LISTED);
     let first: Vec<String> = names.take(LISTED).collect();
@@ -112,7 +112,7 @@ fn listed(names: impl ExactSizeIterator<Item = String>) -> String {
 }
 
 impl Config {
-    /// What differs in another configuration from this one, which is in force.
+    /// Changes from this configuration, which is in force, to another one.
     #[must_use]
     pub fn changes_to(&self, other: &Self) -> ConfigChanges {
         let [old, new] = [self, other].map(settings);
@@ -157,12 +157,12 @@ fn differing_keys(old: &LoopConfig, new: &LoopConfig) -> Vec<String> {
     });
     let names = before.keys().chain(after.keys().filter(|key| !before.contains_key(*key)));
     let differing = names.filter(|key| *key != "keys" && before.get(*key) != after.get(*key));
-    // A loop entry has the keys of [window] and [alarm] at the top, without their table.
+    // A loop entry has the keys of [window] and [alarm] at its top level.
     let own = differing.map(|key| key.rsplit('.').next().unwrap_or(key).to_owned());
     mapped.chain(own).collect()
 }
 
-/// Every setting outside `[[loop]]` by its dotted key. Those that the hash omits are here too.
+/// Every setting outside `[[loop]]` by its dotted key, including those that the hash omits.
 fn settings(config: &Config) -> BTreeMap<String, Value> {
     let mut root = serde_json::to_value(config).unwrap_or_default();
     if let Value::Object(tables) = &mut root {
@@ -205,7 +205,7 @@ fn flatten(key: &str, value: &Value, out: &mut BTreeMap<String, Value>) {
         return;
     };
     for (name, value) in table {
-        // The field has the name by which recordings hash it.
+        // The field is named as recordings hash it.
         let name = if name == "hop_s" { "every_s" } else { name };
         let dotted = if key.is_empty() { name.to_owned() } else { format!("{key}.{name}") };
         flatten(&dotted, value, out);

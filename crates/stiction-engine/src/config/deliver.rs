@@ -12,7 +12,7 @@ const QUEUE: u64 = 10_000;
 /// Documents that can be delivered.
 const DOCUMENTS: [&str; 4] = ["alarm", "estimate", "gap", "data_health"];
 
-/// What replaces the receivers that went.
+/// Replacements for the receiver types that were removed.
 const INSTEAD: &str = "write http[s]://HOST/PATH, or let the receiver read the bus (Zenoh has an MQTT bridge of its own) or Alertmanager \
                        send the alarms (config/alerts.yml)";
 

@@ -61,10 +61,10 @@ impl Config {
     }
 }
 
-/// Where the loop is in the plant, from the configuration.
+/// The loop's context from the configuration.
 fn place_of(own: &LoopConfig) -> LoopContext {
     let said = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
-    // OP that runs from 0 to 100 is in %, whoever wrote the range.
+    // OP with a range of 0 to 100 is in %, whoever wrote the range.
     let percent = (own.op_range == Some([0.0, 100.0])).then(|| "%".to_owned());
     LoopContext {
         criticality: Some(own.criticality),

@@ -106,7 +106,7 @@ pub(super) fn read_input(r: &mut TableReader<'_, '_>) -> Input {
     }
 }
 
-/// A fault if `max_loops` is less than the number of named loops.
+/// A fault if `max_loops` is less than the number of configured loops.
 pub(super) fn too_few_places(lines: &Lines, root: &DeTable<'_>, max_loops: usize, named: usize) -> Option<Fault> {
     let head = root.iter().find(|(key, _)| key.get_ref() == "input").map_or(0, |(key, _)| key.span().start);
     (named > max_loops).then(|| Fault {

@@ -34,7 +34,7 @@ impl Action {
         }
     }
 
-    /// Whether a controller with this gain, OP units per PV unit of SP - PV, acts the other way.
+    /// Whether a controller with this gain, OP units per PV unit of SP - PV, has the opposite action.
     #[must_use]
     pub fn contradicts(self, kc: f64) -> bool {
         if self == Self::Reverse { kc < 0.0 } else { kc > 0.0 }
@@ -49,7 +49,7 @@ pub(super) fn read_loops(
     faults: &mut Vec<Fault>,
 ) -> Vec<LoopConfig> {
     let mut loops: Vec<LoopConfig> = Vec::new();
-    // A site may list a hundred thousand loops: what was seen is looked up, not searched for.
+    // A site may list a hundred thousand loops, so use hash sets.
     let (mut names, mut owners) = (HashSet::new(), HashMap::new());
     for (index, (table, line)) in subtables(lines, root, "loop", faults).into_iter().enumerate() {
         let mut r = TableReader::new(lines, &format!("loop[{index}]"), line, Some(table), faults);
@@ -91,8 +91,8 @@ pub(super) fn read_loops(
     loops
 }
 
-/// The key of `[[loop]]` that maps a signal. MV is the controller output elsewhere in the trade, so the valve position has
-/// its own word where people write it.
+/// The key of `[[loop]]` that maps a signal. In the trade MV often means the controller output, so the valve position has a
+/// different word here.
 #[must_use]
 pub const fn setting_of(signal: Signal) -> &'static str {
     match signal {
@@ -174,7 +174,7 @@ fn read_upstream(r: &mut TableReader<'_, '_>, own: Option<&str>) -> Vec<String> 
 /// Longest label, bytes.
 const LABEL_BYTES: usize = 128;
 
-/// A short plain text that documents contain.
+/// A short plain text for documents.
 fn read_label(r: &mut TableReader<'_, '_>, key: &'static str) -> String {
     let Some((label, line)) = r.text(key) else { return String::new() };
     if label.len() > LABEL_BYTES || label.chars().any(char::is_control) {

@@ -33,7 +33,7 @@ use stiction::core::record::Signal;
 use stiction::core::signal::history::{LEAST_BYTES, fitting};
 use stiction::core::units::{FinalElement, is_loop_name};
 
-/// Whether nothing is set.
+/// Whether the settings have their defaults.
 fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
     *settings == T::default()
 }
@@ -68,17 +68,17 @@ pub struct Config {
     pub input: Input,
     /// Windows; loops may override.
     pub window: WindowParams,
-    /// What probabilities assume. Omitted from [`Config::hash`] while nothing is set.
+    /// Assumptions of probabilities. Omitted from [`Config::hash`] while not set.
     #[serde(skip_serializing_if = "is_default")]
     pub verdict: VerdictParams,
     /// Alarms; loops may override.
     pub alarm: AlarmParams,
-    /// The gap diagnosis. Omitted from [`Config::hash`] while nothing is set, so that older recordings still verify.
+    /// The gap diagnosis. Omitted from [`Config::hash`] while not set, so that older recordings still verify.
     #[serde(skip_serializing_if = "is_default")]
     pub gap: GapParams,
     /// Recording.
     pub recording: Recording,
-    /// How long recordings are kept. Like the next one omitted from [`Config::hash`] while nothing is set.
+    /// How long recordings are kept. Like the next one omitted from [`Config::hash`] while not set.
     #[serde(skip_serializing_if = "is_default")]
     pub retention: Retention,
     /// Accepted commands.
@@ -92,7 +92,7 @@ pub struct Config {
     /// Its fixed part of all loops.
     #[serde(skip_serializing)]
     pub shard: Shard,
-    /// Groups of loops. Omitted from [`Config::hash`] while nothing is set.
+    /// Groups of loops. Omitted from [`Config::hash`] while not set.
     #[serde(skip_serializing_if = "is_default")]
     pub plant: Plant,
     /// The summary of data health. Like the next not part of [`Config::hash`], because it changes no other document.
@@ -157,7 +157,7 @@ pub struct Web {
     /// Whether `/metrics` has series per loop. Like the next one not part of [`Config::hash`].
     #[serde(skip_serializing)]
     pub loop_series: bool,
-    /// Most loops with their own series.
+    /// Most loops with series.
     #[serde(skip_serializing)]
     pub max_loop_series: usize,
     /// The web page. Like all below not part of [`Config::hash`].
@@ -171,17 +171,17 @@ pub struct Page {
     /// Whether the page is served: `page`.
     #[serde(rename = "page")]
     pub enabled: bool,
-    /// Address of a `stictiond workbench` that it links to: `workbench`; empty: none.
+    /// Address of a `stictiond workbench` to link to: `workbench`; empty: none.
     pub workbench: String,
-    /// Zone of the times that it shows: `time_zone`, an IANA name such as `Europe/Berlin`.
+    /// Time zone for displayed times: `time_zone`, an IANA name such as `Europe/Berlin`.
     pub time_zone: String,
-    /// File of the token that every command then needs: `token_file`; empty: commands come from this machine alone.
+    /// File with the token that every command then needs: `token_file`; empty: only this machine may send commands.
     pub token_file: String,
-    /// Whether connections come through a proxy, so that a loopback peer may be anybody: `behind_proxy`.
+    /// Whether connections come through a proxy, so that a loopback peer may be anyone: `behind_proxy`.
     pub behind_proxy: bool,
-    /// Path of a Unix socket that is served too: `socket`; empty: none.
+    /// Path of a Unix socket to serve as well: `socket`; empty: none.
     pub socket: String,
-    /// Names under which browsers may call it, beside its own address: `hosts`.
+    /// Names by which browsers may call it, in addition to its address: `hosts`.
     pub hosts: Vec<String>,
 }
 
@@ -211,7 +211,7 @@ pub struct LoopConfig {
     /// Controlled quantity, if the first letters of the name do not give it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kind: Option<&'static str>,
-    /// What its OP moves; omitted from [`Config::hash`] while it is a valve.
+    /// Its final element; omitted from [`Config::hash`] while it is a valve.
     #[serde(skip_serializing_if = "is_default")]
     pub final_element: FinalElement,
     /// Action of its controller; omitted from [`Config::hash`] while not given.
@@ -321,7 +321,7 @@ impl Config {
     /// SHA-256 over all settings (not comments or order of the text), 16 hex digits.
     #[must_use]
     pub fn hash(&self) -> String {
-        // A configuration that had no JSON would share its hash with every other such one.
+        // Without JSON, all such configurations would share one hash.
         let canonical = serde_json::to_vec(self).unwrap_or_else(|_| format!("{self:?}").into_bytes());
         short_hash(&canonical)
     }
@@ -362,7 +362,7 @@ fn read_site(r: &mut TableReader<'_, '_>) -> Site {
     Site { prefix }
 }
 
-/// Start of the endpoints that this build supports.
+/// Prefixes of the endpoints that this build supports.
 const PROTOCOLS: [&str; 3] = ["tcp/", "tls/", "unixsock-stream/"];
 
 fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
@@ -405,7 +405,7 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
     } else if w.max_bytes > 0 {
         w.max_points = fitting(w.max_points, w.max_bytes)[0];
     }
-    // What a loop only inherits was refused where it stands.
+    // An inherited contradiction was already refused in `[window]`.
     if w.max_periods < w.min_periods && (w.max_periods, w.min_periods) != (d.max_periods, d.min_periods) {
         let line = r.line();
         r.refuse(line, "max_periods", format!("{} is below min_periods {}", w.max_periods, w.min_periods), "raise it");
@@ -435,7 +435,7 @@ fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
     }
 }
 
-/// Default of `[web] max_loop_series`: about eight series each, which a collector takes easily in one scrape.
+/// Default of `[web] max_loop_series`: with about eight series for each loop, a collector can take this in one scrape.
 const MAX_LOOP_SERIES: u64 = 1000;
 
 fn read_web(r: &mut TableReader<'_, '_>) -> Web {
@@ -557,7 +557,7 @@ mod tests {
         let config = Config::parse(text).unwrap();
         let a = config.loop_named("A").unwrap();
         assert_eq!((a.window.hop_s, a.alarm.s_limit_op, config.window.hop_s), (30.0, 2.0, 60.0));
-        // Recordings hold configurations with the older key.
+        // Recordings contain configurations with the older key.
         assert_eq!(Config::parse(&text.replace("every_s", "hop_s")).unwrap(), config);
         let both = Config::parse(&text.replace("every_s = 60", "every_s = 60\nhop_s = 70")).unwrap_err();
         assert_eq!((both.len(), both[0].key.as_str()), (1, "window.hop_s"));
@@ -575,7 +575,8 @@ mod tests {
     #[test]
     fn the_hash_hangs_on_the_gap_only_where_it_is_set() {
         let hash = |gap: &str| Config::parse(&format!("[site]\nprefix = \"p\"\n{gap}")).unwrap().hash();
-        // It changes with what a default means, as that of the alarm's limit: recordings say under which they were made.
+        // The hash also changes with the meaning of a default, as for the alarm's limit: recordings state under which they were
+        // made.
         assert_eq!(hash(""), "ada9e54cf146250a");
         assert_eq!(hash("[gap]\nenabled = true\n"), hash(""));
         assert_ne!(hash("[gap]\nenabled = false\n"), hash(""));

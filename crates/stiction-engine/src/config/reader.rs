@@ -50,17 +50,17 @@ pub(crate) fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
     Fault { line, key: String::new(), message: error.message().trim().replace('\n', ", "), remedy: String::new() }
 }
 
-/// Keys that had another name before anything was released.
+/// Keys that were renamed before the first release.
 const RENAMED: [(&str, &str); 1] = [("mv", "position")];
 
-/// The lines of keys in a text that was read before.
+/// Finds the lines of keys in a text that was parsed before.
 pub struct Places<'t> {
     lines: Lines,
     root: Option<Spanned<DeTable<'t>>>,
 }
 
 impl<'t> Places<'t> {
-    /// The keys of a TOML text; none of one that is not TOML.
+    /// The keys of a TOML text; none if it is not TOML.
     #[must_use]
     pub fn of(text: &'t str) -> Self {
         Self { lines: Lines::new(text), root: DeTable::parse(text).ok() }
@@ -186,7 +186,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         self.text_or(key, "text in quotes")
     }
 
-    /// Text; where the key has something else, `wanted` says what to write.
+    /// Text; if the key has another type, `wanted` says what to write.
     pub fn text_or(&mut self, key: &'static str, wanted: &str) -> Option<(String, usize)> {
         let (value, line) = self.get(key)?;
         let Some(text) = value.as_str() else {
@@ -196,7 +196,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         self.printable(key, text, line).then(|| (text.to_owned(), line))
     }
 
-    /// Whether a text has no control characters, which backslashes in double quotes make.
+    /// Whether a text has no control characters, which escapes in double quotes can produce.
     fn printable(&mut self, key: &'static str, text: &str, line: usize) -> bool {
         let Some(found) = text.chars().find(|c| c.is_control()) else { return true };
         let message = format!("{text:?} contains the control character {found:?}");
@@ -204,7 +204,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         false
     }
 
-    /// One of several words.
+    /// One of the allowed words.
     pub fn word(&mut self, key: &'static str, default: &str, allowed: &[&str]) -> String {
         match self.text(key) {
             None => default.to_owned(),
@@ -271,7 +271,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         self.fault(line, key, message.into(), remedy.into());
     }
 
-    /// Line of a key's value; none if the key is absent.
+    /// Line of a key's value; `None` if the key is absent.
     pub fn line_of(&self, key: &str) -> Option<usize> {
         let (_, value) = self.table?.iter().find(|(k, _)| k.get_ref() == key)?;
         Some(self.lines.of(value.span().start))

@@ -1,4 +1,4 @@
-//! Several daemons on one plant: the identity of this one, and which loops it watches. Not part of the hash, because every
+//! Several daemons on one plant: the identity of this one, and the loops that it watches. Not part of the hash, since every
 //! daemon gives the same answer for a window.
 
 use super::reader::TableReader;

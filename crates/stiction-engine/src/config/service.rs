@@ -39,11 +39,11 @@ pub struct Plant {
 /// `[verdict]`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct VerdictParams {
-    /// Share of such loops whose valve sticks, 0..1: what `p_stiction` assumes.
+    /// Share of such loops whose valve sticks, 0..1, as assumed by `p_stiction`.
     pub prevalence: f64,
 }
 
-/// `[summary]`: the document of what keeps loops from being judged, for receivers and the bus.
+/// `[summary]`: the document about obstacles that keep loops from being judged, for receivers and the bus.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     /// Seconds between two summaries; 0: none.

@@ -1,8 +1,8 @@
-//! A window on its way: from the moment it is due to its answer.
+//! A window from the moment it is due to its answer.
 //!
-//! A window that is due leaves as a [`Request`] with a [`Snapshot`] of the loop's history. Whoever computes it looks for the
-//! oscillation, cuts the window's record and fits it: none of that happens where samples are taken. A snapshot shares the
-//! history's memory until newer samples change it.
+//! A due window leaves the engine as a [`Request`] with a [`Snapshot`] of the loop's history. The caller that computes it looks
+//! for the oscillation, cuts the window's record and fits it, so none of that happens on the thread that takes samples. A
+//! snapshot shares the history's memory until newer samples change it.
 
 use std::sync::Arc;
 
@@ -19,35 +19,35 @@ use stiction::core::verdict::{Assessment, Gate, Oscillation, Window, assess};
 #[derive(Debug, Clone)]
 pub struct Snapshot {
     history: History,
-    /// Points that had come by then.
+    /// Number of points so far.
     total: u64,
     end_ns: i64,
 }
 
 impl Snapshot {
-    /// The history as it is, for a window that ends at a stamp.
+    /// The current history, for a window that ends at a stamp.
     pub(super) fn now(history: &History, end_ns: i64) -> Self {
         Self { history: history.clone(), total: history.total(), end_ns }
     }
 
-    /// The history up to a stamp, as far as it is still held.
+    /// The history up to a stamp, as far as it is held.
     pub(super) fn up_to(history: &History, end_ns: i64) -> Self {
         Self { history: history.clone(), total: history.up_to(end_ns).total(), end_ns }
     }
 
-    /// The record of the window: looks for the oscillation and takes as many periods of it as a window has. `None` where
+    /// The record of the window: finds the oscillation and takes as many of its periods as belong to a window. `None` if
     /// nothing is held.
     #[must_use]
     pub fn record(&self, params: &WindowParams) -> Option<Record> {
         choose_record(self.history.at(self.total), params, self.end_ns)
     }
 
-    /// The record from a time on, in the smallest bins that fit a window. `None` where nothing is held.
+    /// The record from a given time on, in the smallest bins that fit a window. `None` if nothing is held.
     pub(super) fn since(&self, from_ns: i64) -> Option<Record> {
         self.history.at(self.total).record(from_ns, self.end_ns)
     }
 
-    /// Bytes that it takes once it shares nothing with its loop any more.
+    /// Bytes that it occupies when it shares nothing with its loop.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.history.bytes()
@@ -59,30 +59,30 @@ impl Snapshot {
 pub struct Request {
     /// Its loop.
     pub id: LoopId,
-    /// Its place among the loop's windows; the key to hand the answer back with.
+    /// Its number among the loop's windows, with which the answer is returned.
     pub seq: u64,
-    /// The window's name: its end, ns.
+    /// End of the window, which identifies it, ns.
     pub end_ns: i64,
-    /// How it is computed.
+    /// Settings for the computation.
     pub settings: Arc<LoopSettings>,
-    /// The loop's history when it was due.
+    /// The loop's history when the window came due.
     pub(super) snapshot: Snapshot,
-    /// Values that were bad since the last point.
+    /// Number of bad values since the last point.
     pub(super) bad: u16,
-    /// The loop's sampling time when it was due, s; 0 where it was not known.
+    /// The loop's sampling time when the window came due, s; 0 if unknown.
     pub(super) ts_s: f64,
-    /// The loop's accepted model when it was due.
+    /// The loop's accepted model when the window came due.
     pub(super) accepted: Option<Accepted>,
 }
 
 /// The answer to a [`Request`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct WindowAnswer {
-    /// What the estimate was made from.
+    /// The record behind the estimate.
     pub record: Arc<Record>,
     /// The estimate.
     pub assessment: Assessment,
-    /// What the gap watch asks of the record.
+    /// Figures for the gap watch.
     pub(super) watched: Watched,
 }
 
@@ -100,7 +100,7 @@ impl Request {
         record
     }
 
-    /// Computes the answer. Depends on the request alone.
+    /// Computes the answer, which depends on the request alone.
     #[must_use]
     pub fn compute(&self) -> WindowAnswer {
         let record = self.record();
@@ -108,41 +108,41 @@ impl Request {
         self.answer(record, assessment)
     }
 
-    /// The answer with an estimate of its record.
+    /// The answer, from an estimate of its record.
     #[must_use]
     pub fn answer(&self, record: Record, assessment: Assessment) -> WindowAnswer {
         let watched = Watched::of(&assessment, &record, self.accepted.clone());
         WindowAnswer { record: Arc::new(record), assessment, watched }
     }
 
-    /// Bytes that it takes once it shares nothing with its loop any more.
+    /// Bytes that it occupies when it shares nothing with its loop.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.snapshot.bytes()
     }
 }
 
-/// What an estimate was made from, and what the gap watch asks of it; none of a window that nobody computed.
+/// The record of an estimate and its figures for the gap watch; absent for a window that was not computed.
 pub(super) type Computed = (Arc<Record>, Watched);
 
 /// A window that waits for its answer.
 #[derive(Debug)]
 pub(super) struct Waiting {
     pub seq: u64,
-    /// The window's name, ns.
+    /// End of the window, which identifies it, ns.
     pub end_ns: i64,
-    /// The window in its document where nobody computes it.
+    /// The window for the document if it is not computed.
     latest: Window,
     pub answer: Option<(Assessment, Option<Computed>)>,
 }
 
 impl Waiting {
-    /// A window that is due now.
+    /// A window that has just come due.
     pub fn new(seq: u64, end_ns: i64, history: &History, ts_s: f64) -> Self {
         Self { seq, end_ns, latest: latest(history, end_ns, ts_s), answer: None }
     }
 
-    /// Gives the window up: its document says so.
+    /// Marks the window as skipped; its document says so.
     pub fn skip(&mut self) {
         let oscillation = Oscillation {
             oscillating: false,
@@ -156,7 +156,7 @@ impl Waiting {
     }
 }
 
-/// The stretch of raw points that a window would look at first.
+/// The raw points that a window would examine first.
 fn latest(history: &History, end_ns: i64, ts_s: f64) -> Window {
     let (start_ns, samples) = history.now().latest_raw().unwrap_or((end_ns, 0));
     let mean_s = history.newest_ns().filter(|_| samples > 1).map(|t| s_from_ns(t - start_ns) / (samples - 1) as f64);

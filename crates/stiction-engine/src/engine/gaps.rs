@@ -1,13 +1,13 @@
-//! When a loop's gap is diagnosed, and against which model.
+//! Decides when a loop's gap is diagnosed, and against which model.
 //!
-//! A window *departs* where its fit is [`FIT_DROP_PCT`] points below the loop's own median, or where the accepted model,
-//! run freely over what came after its own window, leaves [`GAP_GROWTH`] times its usual gap. [`IN_A_ROW`] such windows
-//! ask for a diagnosis, at most once in [`REST_NS`] of event time; windows without a fit neither count nor break the row.
+//! A window *departs* if its fit is [`FIT_DROP_PCT`] points below the loop's median, or if the accepted model, in free run over
+//! the data after its own window, leaves [`GAP_GROWTH`] times its usual gap. [`IN_A_ROW`] such windows request a diagnosis, at
+//! most once in [`REST_NS`] of event time; windows without a fit neither count nor interrupt the sequence.
 //!
-//! The *accepted* model is that of the first window graded A or B, and stays until a diagnosis has been made against it
-//! (or a first one of grade B is followed by an A): were it renewed with every window, stiction that grows slowly would
-//! never show. The window that was diagnosed, or the next one graded A or B, gives the next. What a person asks for
-//! changes none of this. All of it hangs on the loop's windows in their order alone, and is part of its checkpoint.
+//! The *accepted* model is that of the first window graded A or B. It is kept until a diagnosis was made against it (or until a
+//! first one of grade B is followed by an A): if it were renewed with every window, slowly growing stiction would never show.
+//! The diagnosed window, or the next one graded A or B, gives the next model. Diagnoses requested by people change none of
+//! this. Everything depends only on the loop's windows and their order, and is part of its checkpoint.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -29,51 +29,51 @@ use stiction::core::sim::slips::Law;
 use stiction::core::units::format_rfc3339;
 use stiction::core::verdict::{AssessParams, Assessment, assess};
 
-/// Points of fit below the loop's median from which a window departs.
+/// A window departs if its fit is this many points below the loop's median.
 pub const FIT_DROP_PCT: f64 = 15.0;
-/// Times its usual gap from which a window departs.
+/// A window departs if the accepted model leaves this many times its usual gap.
 pub const GAP_GROWTH: f64 = 1.5;
-/// Departing windows in a row that ask for a diagnosis.
+/// Consecutive departing windows that request a diagnosis.
 pub const IN_A_ROW: u32 = 3;
-/// Event time between two diagnoses that nobody asked for: a day, ns.
+/// Event time between two automatic diagnoses: a day, ns.
 pub const REST_NS: i64 = 86_400_000_000_000;
-/// Windows of earlier diagnoses that are remembered.
+/// Number of earlier diagnoses whose windows are remembered.
 pub(super) const POOLED: usize = 4;
 /// Event time for which a diagnosis is remembered: 30 days, ns.
 pub(super) const POOLED_NS: i64 = 30 * REST_NS;
-/// Windows that make what is usual.
+/// Windows from which the usual values are taken.
 const REMEMBERED: usize = 24;
-/// Fewest of them to speak of.
+/// Fewest windows for a usual value.
 const USUAL: usize = 5;
-/// A gap below this share of PV's standard deviation counts as this large: half as much again of nothing is nothing.
+/// A smaller gap counts as this fraction of PV's standard deviation: growth from almost nothing means nothing.
 const LEAST_GAP: f64 = 0.05;
 
 /// Why a gap is diagnosed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GapReason {
-    /// A person asked.
+    /// A person requested it.
     Operator,
-    /// Three windows whose fit is far below the loop's own median.
+    /// The fit of three windows was far below the loop's median.
     FitFell,
-    /// Three windows in which the accepted model left far more than usual.
+    /// In three windows the accepted model left far more than usual.
     GapGrew,
 }
 
-/// A model against which later windows are held.
+/// A model with which later windows are compared.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Accepted {
     model: Model,
     /// Grade of its estimate.
     grade: char,
-    /// Name of its window, ns.
+    /// End of its window, ns.
     window_end_ns: i64,
 }
 
-/// Figures of a window's record for the watch: computed with the window's estimate, not on the engine's thread.
+/// Figures of a window's record for the watch, computed with the window's estimate and not on the engine's thread.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Watched {
-    /// The model that was accepted when the window was due.
+    /// The model accepted when the window came due.
     accepted: Option<Accepted>,
     /// Its gap in the window.
     gap: Option<f64>,
@@ -82,7 +82,7 @@ pub(super) struct Watched {
 }
 
 impl Watched {
-    /// Of a window that became due under this model.
+    /// For a window that came due under this model.
     pub(super) fn of(assessment: &Assessment, record: &Record, accepted: Option<Accepted>) -> Self {
         let gap = fit_pct(assessment).and_then(|_| accepted.as_ref()?.gap_in(record));
         let model = grade(assessment).and_then(|_| model_of(assessment, record));
@@ -94,23 +94,23 @@ fn fit_pct(assessment: &Assessment) -> Option<f64> {
     assessment.process.as_ref().map(|p| p.fit_pct).filter(|fit| fit.is_finite())
 }
 
-/// The grade of an estimate whose model may be accepted.
+/// The grade of an estimate if its model may be accepted.
 fn grade(assessment: &Assessment) -> Option<char> {
     assessment.grade.filter(|grade| matches!(grade, 'A' | 'B'))
 }
 
-/// A loop's memory of what is usual.
+/// A loop's usual values, and its accepted model.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct GapWatch {
     accepted: Option<Accepted>,
     /// Fits of the latest windows, %.
     fits_pct: VecDeque<f64>,
-    /// Gaps of the accepted model in the latest windows, shares of PV's standard deviation.
+    /// Gaps of the accepted model in the latest windows, relative to PV's standard deviation.
     gaps: VecDeque<f64>,
     departing: u32,
-    /// The window of the last diagnosis that nobody asked for.
+    /// End of the window of the last automatic diagnosis.
     ran_ns: Option<i64>,
-    /// A diagnosis was made against the accepted model: the next graded window gives another.
+    /// A diagnosis was made against the accepted model, so the next graded window replaces it.
     renew: bool,
 }
 
@@ -119,13 +119,13 @@ impl GapWatch {
         self.accepted.as_ref()
     }
 
-    /// The model against which a diagnosis would be made now.
+    /// The model against which a diagnosis would now be made.
     #[must_use]
     pub fn model(&self) -> Option<&Model> {
         self.accepted.as_ref().map(|a| &a.model)
     }
 
-    /// Takes a window in its order. Gives the reason and the model of a diagnosis that is due now.
+    /// Takes the next window. Returns reason and model of a diagnosis that is now due.
     pub(super) fn window(
         &mut self,
         assessment: &Assessment,
@@ -147,7 +147,7 @@ impl GapWatch {
         gap.into_iter().for_each(|gap| remember(&mut self.gaps, gap));
         self.departing = if fell || grew { self.departing.saturating_add(1) } else { 0 };
         let end_ns = assessment.window.end_ns;
-        // A clock that was set back by more than a day counts as another day.
+        // A clock set back by more than a day counts as another day.
         let rested = self.ran_ns.is_none_or(|ran_ns| end_ns.abs_diff(ran_ns) >= REST_NS.unsigned_abs());
         let due = params.enabled && self.departing >= IN_A_ROW && rested;
         let asked = due.then(|| {
@@ -158,7 +158,7 @@ impl GapWatch {
         asked
     }
 
-    /// The diagnosis that was due found no place: the next departing window asks again.
+    /// The due diagnosis found no place in the queue: the next departing window requests it again.
     pub(super) const fn gave_up(&mut self) {
         (self.ran_ns, self.renew) = (None, false);
     }
@@ -200,8 +200,8 @@ fn valve_and_process(model: &Model) -> ident::Model {
 }
 
 impl Accepted {
-    /// What the model leaves of PV above its white noise after its own window, over PV's standard deviation. `None` until
-    /// half of the window lies after it: a model knows the points that it was made from.
+    /// Residual of the model in PV beyond its white noise, after the model's own window, relative to PV's standard deviation.
+    /// `None` unless at least half of the record is after that window, since a model fits the points it was made from.
     fn gap_in(&self, record: &Record) -> Option<f64> {
         let length_ns = record.end_ns.saturating_sub(record.start_ns);
         if self.window_end_ns.saturating_sub(record.start_ns) > length_ns / 2 {
@@ -214,7 +214,7 @@ impl Accepted {
     }
 }
 
-/// The model that an estimate stands for, with the rest at which its own window was.
+/// The model of an estimate, at the operating point of its window.
 fn model_of(assessment: &Assessment, record: &Record) -> Option<Model> {
     let (fs, fd, p) = (assessment.fs?, assessment.fd?, assessment.process.as_ref()?);
     let mut model = Model {
@@ -238,42 +238,42 @@ fn model_of(assessment: &Assessment, record: &Record) -> Option<Model> {
     numbers.iter().chain(&process.time_constants_s).all(|x| x.is_finite()).then_some(model)
 }
 
-/// A diagnosis that is asked for: leaves the engine as an estimate's request does.
+/// A requested diagnosis, which leaves the engine like a request for an estimate.
 #[derive(Debug, Clone)]
 pub struct GapRequest {
     /// Its loop.
     pub id: LoopId,
-    /// Its place among the loop's diagnoses; the key to hand the answer back with.
+    /// Its number among the loop's diagnoses, with which the answer is returned.
     pub number: u64,
     /// The loop's name.
     pub loop_name: Arc<str>,
-    /// Why.
+    /// The reason.
     pub reason: GapReason,
-    /// Who asked, where a person did.
+    /// The person who requested it, if any.
     pub by: Option<String>,
-    /// What it is made from.
+    /// The record to diagnose.
     pub record: Arc<Record>,
-    /// How the loop's valve is judged.
+    /// Parameters for judging the loop's valve.
     pub assess: AssessParams,
     /// The loop's accepted model, if it has one.
     pub model: Option<Model>,
     /// Other loops on the record's grid, each a possible load.
     pub neighbours: Vec<Neighbour>,
-    /// Earlier windows of the loop from which the cause is decided, too.
+    /// Earlier windows of the loop that help to decide the cause.
     pub earlier: Vec<pool::Window>,
-    /// Model responses that it may compute.
+    /// Most model responses to compute.
     pub budget_evaluations: u64,
     /// Hash of the configuration.
     pub config_hash: Arc<str>,
-    /// Id of the daemon that asks; none outside one.
+    /// Id of the requesting daemon; `None` outside a daemon.
     pub daemon: Option<Arc<str>>,
 }
 
 impl GapRequest {
-    /// Computes the answer. Depends on the request and on the evaluations at which `executor` ends it, if it does.
+    /// Computes the answer. It depends on the request and on the evaluations after which `executor` ends it, if it does.
     ///
     /// # Errors
-    /// Where the record cannot be diagnosed.
+    /// The record cannot be diagnosed.
     pub fn compute(&self, executor: &dyn Executor) -> Result<PublishedGap, GapError> {
         let base = self.model.clone().map_or(Base::Refit, |model| Base::Given(Box::new(model)));
         let period_points = oscillation::detect(&self.record.op(), &self.record.pv).map(|o| o.period_points);
@@ -286,7 +286,7 @@ impl GapRequest {
         };
         let alone = gap::diagnose(&self.record, &options, executor)?;
         let source = format!("window to {}", format_rfc3339(self.record.end_ns));
-        // From a base that is worse than PV's mean nothing can be judged, in other windows either.
+        // If the base is worse than PV's mean, nothing can be judged from this window, nor together with others.
         let own = (!alone.is_worse_than_mean()).then(|| pool::Window::of(&source, &self.record, &alone));
         let windows: Vec<pool::Window> = self.earlier.iter().chain(&own).cloned().collect();
         let is_pooled = own.is_some() && windows.len() > 1;
@@ -308,41 +308,41 @@ impl GapRequest {
     }
 }
 
-/// A diagnosis as it is published: why it was made, and under which configuration.
+/// A diagnosis as published, with its reason and configuration.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PublishedGap {
     /// The diagnosis.
     #[serde(flatten)]
     pub document: GapDocument,
-    /// What the window by itself adds to a later decision; none where its base is worse than PV's mean.
+    /// Evidence of this window alone for a later decision; `None` if its base is worse than PV's mean.
     #[serde(skip)]
     pub own: Option<Box<pool::Window>>,
-    /// Why it was made.
+    /// The reason.
     pub reason: GapReason,
-    /// Who asked, where a person did.
+    /// The person who requested it, if any.
     pub by: Option<String>,
     /// Hash of the configuration.
     pub config_hash: String,
-    /// Id of the daemon that made it; absent where none did.
+    /// Id of the daemon that made it; absent outside a daemon.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub daemon: Option<String>,
 }
 
 impl PublishedGap {
-    /// The name of its window, ns.
+    /// End of its window, ns.
     #[must_use]
     pub const fn end_ns(&self) -> i64 {
         self.document.window.end_ns
     }
 }
 
-/// Whether a recording can give a window back: JSON holds no number that is not finite.
+/// Whether a recording can restore the window: JSON has no numbers that are not finite.
 pub(super) fn is_recordable(window: &pool::Window) -> bool {
     let json = serde_json::to_vec(window);
     json.is_ok_and(|json| serde_json::from_slice::<pool::Window>(&json).is_ok_and(|read| read == *window))
 }
 
-/// Why a person's wish for a diagnosis is refused.
+/// Why a person's request for a diagnosis is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GapRefusal {
     /// No such loop.

@@ -1,4 +1,4 @@
-//! What else stands in a recording: inputs that came from outside the samples, and the states that a file starts with.
+//! Further contents of a recording: inputs other than samples, and the states at the head of a file.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,82 +12,81 @@ pub const INPUT_SCHEMA: &str = "stictiond.input.v1";
 /// Schema name of a recorded state.
 pub const STATE_SCHEMA: &str = "stictiond.state.v1";
 
-/// What outside time or people brought into a run; replay obeys it.
+/// An input from people or from timing; replay follows it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum RecordedInput {
-    /// A due window that got no fit.
+    /// A due window that was not fitted.
     Skip {
-        /// The window's name.
+        /// End of the window, ns.
         window_end_ns: i64,
-        /// Its place among the loop's windows.
+        /// Its number among the loop's windows.
         seq: u64,
-        /// Why.
+        /// The reason.
         reason: SkipReason,
     },
-    /// A person's command, taken here.
+    /// A person's command, applied at this point.
     Command(Command),
-    /// A person's wish for a gap diagnosis, taken here.
+    /// A person's request for a gap diagnosis, accepted at this point.
     GapRun {
-        /// Its place among the loop's diagnoses.
+        /// Its number among the loop's diagnoses.
         number: u64,
-        /// Who asked.
+        /// Who requested it.
         by: Option<String>,
     },
-    /// Other loops that a gap diagnosis is given.
+    /// Other loops passed to a gap diagnosis.
     GapNeighbours {
-        /// Its place among the loop's diagnoses.
+        /// Its number among the loop's diagnoses.
         number: u64,
         /// The loops.
         neighbours: Vec<RecordedNeighbour>,
     },
-    /// Earlier windows of the loop from which a gap diagnosis is decided, too.
+    /// Earlier windows of the loop that help to decide the cause in a gap diagnosis.
     GapEarlier {
-        /// Its place among the loop's diagnoses.
+        /// Its number among the loop's diagnoses.
         number: u64,
         /// The windows, oldest first.
         windows: Vec<pool::Window>,
     },
-    /// A gap diagnosis that was not made.
+    /// A skipped gap diagnosis.
     GapSkip {
-        /// Its place among the loop's diagnoses.
+        /// Its number among the loop's diagnoses.
         number: u64,
-        /// Why.
+        /// The reason.
         reason: SkipReason,
     },
-    /// A gap diagnosis whose search was ended before its budget: its document follows.
+    /// A gap diagnosis whose search was ended before its budget; its document follows.
     GapCut {
-        /// Its place among the loop's diagnoses.
+        /// Its number among the loop's diagnoses.
         number: u64,
-        /// Evaluations that it had done.
+        /// Evaluations done by then.
         evaluations: u64,
     },
-    /// What a comparison of many loops says of this one; null where it is in no group any more.
+    /// Result of a comparison of many loops for this one; null once the loop is in no group.
     Group {
         /// The group's answer for the loop's next windows.
         standing: Option<Box<GroupStanding>>,
     },
-    /// A comparison of the windows that all loops have now is due.
+    /// A comparison of the current windows of all loops came due.
     Comparing {
-        /// Names the windows.
+        /// Identifies the windows.
         windows: String,
     },
-    /// It is done; the documents of its groups follow.
+    /// The comparison has finished; the documents of its groups follow.
     Compared {
-        /// Names the windows.
+        /// Identifies the windows.
         windows: String,
-        /// Whether it broke off: then there are no groups.
+        /// Whether it failed; then there are no groups.
         #[serde(default, skip_serializing_if = "core::ops::Not::not")]
         failed: bool,
     },
-    /// The loop had sent nothing for long and left the memory: what comes next begins anew, but for an alarm that is not
-    /// at rest.
+    /// The loop was silent for long and was forgotten: its next samples start from nothing, except for an active alarm.
     Forget,
-    /// The configuration names the loop no longer: its alarm ends.
+    /// The loop is no longer configured: its alarm ends.
     Removed,
 }
 
-/// A loop's state at a place in a recording.
+/// A loop's state at a point in a recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StateDocument {
     /// [`STATE_SCHEMA`].
@@ -95,9 +94,9 @@ pub struct StateDocument {
     /// The loop's name.
     #[serde(rename = "loop")]
     pub loop_name: String,
-    /// The window after which it holds; null at the start of a file.
+    /// The last window that it includes; null at the start of a file.
     pub window_end_ns: Option<i64>,
-    /// The loop had left the plant: what is kept waits for its return.
+    /// Whether the loop had left the plant; the state then waits for its return.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub left: bool,
     /// The state.

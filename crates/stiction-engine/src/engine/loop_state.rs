@@ -17,7 +17,7 @@ use stiction::core::signal::history::History;
 use stiction::core::units::ns_from_s;
 use stiction::core::verdict::{AssessParams, Assessment, EstimateDocument, MemberJudgement};
 
-/// A diagnosis on its way; the answer once it came is none where it was given up.
+/// A diagnosis under way; the answer, once it came, is `None` if it was skipped.
 #[derive(Debug)]
 struct WaitingGap {
     number: u64,
@@ -35,18 +35,18 @@ pub(super) struct LoopState {
     pub group: Option<GroupStanding>,
     aligner: Aligner,
     history: History,
-    /// End of the window under way: the first multiple of the hop at or after the last sample taken.
+    /// End of the current window: the first multiple of the hop at or after the last sample.
     next_end_ns: Option<i64>,
     windows: u64,
     waiting: VecDeque<Waiting>,
     gaps: u64,
     gaps_waiting: VecDeque<WaitingGap>,
-    /// Windows of the latest diagnoses, none of which overlaps another.
+    /// Windows of the latest diagnoses, which do not overlap.
     diagnosed: VecDeque<pool::Window>,
-    /// End of the last window that came due, or after a restart that the alarm has taken: none is made twice, whatever comes
-    /// late. None again once the plant's clock is set back.
+    /// End of the last window that came due, or after a restart of the last one that the alarm took, so that late samples make
+    /// no window twice. Reset when the plant's clock is set back.
     taken_ns: Option<i64>,
-    /// The configuration named it and names it no longer: until it is let go it stays as it was.
+    /// Whether it was removed from the configuration; its settings are kept until it is dropped.
     pub removed: bool,
 }
 
@@ -71,15 +71,15 @@ impl LoopState {
         }
     }
 
-    /// The same loop for another run, under its settings there: its stream goes on, the rest comes from elsewhere or begins
-    /// anew.
+    /// The same loop for another run, under the settings there: its stream continues; the rest is restored separately or starts
+    /// from nothing.
     pub fn in_next_run(self, settings: Arc<LoopSettings>) -> Self {
         let Self { name, aligner, history, next_end_ns, windows, gaps, .. } = self;
         Self { aligner, history, next_end_ns, windows, gaps, ..Self::new(name, settings) }
     }
 
-    /// Takes other settings over; says whether they differ. Where its window cannot go on under them it starts empty: windows
-    /// that are on their way stay, and none that came due comes due again.
+    /// Adopts new settings; true if they differ. If its window cannot continue under them, it starts empty: windows under way
+    /// are kept, and no window comes due twice.
     pub fn take_settings(&mut self, settings: Arc<LoopSettings>) -> bool {
         let old = std::mem::replace(&mut self.settings, settings);
         if !old.window_continues_under(&self.settings) {
@@ -91,7 +91,7 @@ impl LoopState {
         old != self.settings
     }
 
-    /// Takes a sample. Windows that come due leave as requests.
+    /// Takes a sample. Due windows leave as requests.
     pub fn push(&mut self, id: LoopId, sample: Sample, out: &mut Vec<Event>) {
         let settings = self.settings.clone();
         self.aligner.push(sample, &settings.align);
@@ -104,7 +104,7 @@ impl LoopState {
                 Aligned::Break => history.clear(),
             });
         }
-        // The window is over once the loop's clock has passed its end and nothing of it waits for its place.
+        // A window is complete once the loop's time has passed its end and no sample of it waits to be sorted in.
         if let (Some(end_ns), Some(now_ns)) = (self.next_end_ns, self.aligner.event_time_ns(&settings.align))
             && now_ns >= end_ns
             && self.aligner.waiting_ns().is_none_or(|t| t > end_ns)
@@ -114,8 +114,8 @@ impl LoopState {
         }
     }
 
-    /// Closes the window that a sample leaves behind and opens the one it falls into. Hops without a sample have no
-    /// window: an outage of years would otherwise make thousands of empty documents.
+    /// Closes the window before a sample and opens the one that contains it. Hops without a sample have no window, since an
+    /// outage of years would otherwise produce thousands of empty documents.
     fn enter_hop(&mut self, id: LoopId, t_ns: i64, out: &mut Vec<Event>) {
         let hop_ns = ns_from_s(self.settings.window.hop_s).max(1);
         let is_before = |end_ns: &mut i64| t_ns <= end_ns.saturating_sub(hop_ns);
@@ -123,7 +123,7 @@ impl LoopState {
             self.due(id, end_ns, out);
             self.next_end_ns = None;
         }
-        // Nothing is taken from before the hop of a window that was due or under way, unless the clock was set back.
+        // Samples before the hop of a window that was due or under way are not used, unless the clock was set back.
         self.next_end_ns.take_if(is_before);
         self.taken_ns.take_if(is_before);
         if self.next_end_ns.is_none() {
@@ -132,7 +132,7 @@ impl LoopState {
         }
     }
 
-    /// A window is due: it leaves as a request.
+    /// A window comes due and leaves as a request.
     fn due(&mut self, id: LoopId, end_ns: i64, out: &mut Vec<Event>) {
         if self.taken_ns.is_some_and(|taken_ns| end_ns <= taken_ns) {
             return;
@@ -147,7 +147,7 @@ impl LoopState {
         out.push(Event::Request(Box::new(Request { id, seq, end_ns, settings, snapshot, bad, ts_s, accepted })));
     }
 
-    /// Takes an answer (or none) and consumes all that are next in order.
+    /// Takes an answer (or none), and processes all answers that are next in order.
     pub fn resolve(
         &mut self,
         id: LoopId,
@@ -178,7 +178,7 @@ impl LoopState {
     ) {
         let (assessment, group) = self.with_group(&own);
         let change = self.alarm.window(&self.name, &assessment, &self.settings.alarm);
-        // A window that nobody computed has no model that could depart.
+        // A window that was not computed has no model that could depart.
         let record = computed.as_ref().map(|(record, _)| record.clone());
         let departed = computed.and_then(|(record, watched)| {
             let asked = self.gap.window(&own, &record, watched, &self.settings.gap)?;
@@ -201,7 +201,7 @@ impl LoopState {
         }
     }
 
-    /// A window's own assessment with what the loop's group says of it.
+    /// A window's assessment, combined with the judgement of the loop's group.
     fn with_group(&mut self, own: &Assessment) -> (Assessment, Option<MemberJudgement>) {
         let mut assessment = own.clone();
         let group = self.group.as_ref().and_then(|standing| standing.answer(own));
@@ -212,14 +212,14 @@ impl LoopState {
         (assessment, group)
     }
 
-    /// The history up to a stamp, or to the newest sample; of an older one what the memory still has.
+    /// The history up to a stamp, or to the newest sample; for an older stamp, what is still held.
     pub fn snapshot(&self, end_ns: Option<i64>) -> Option<Snapshot> {
         let end_ns = end_ns.or_else(|| self.history.newest_ns())?;
         Some(Snapshot::up_to(&self.history, end_ns))
     }
 
-    /// A person asks for a diagnosis of the latest data, cut as a window would be that ended now. With `pool` the cause is
-    /// decided from the windows of earlier diagnoses, too.
+    /// A person requests a diagnosis of the latest data, cut like a window that ended now. With `pool`, the windows of earlier
+    /// diagnoses help to decide the cause.
     pub fn run_gap(
         &mut self,
         id: LoopId,
@@ -286,7 +286,7 @@ impl LoopState {
         number
     }
 
-    /// Takes a diagnosis, or none, and puts out all that are next in order.
+    /// Takes a diagnosis, or none, and emits all that are next in order.
     pub fn resolve_gap(&mut self, id: LoopId, number: u64, answer: Option<PublishedGap>, out: &mut Vec<Event>) {
         let Some(waiting) = self.gaps_waiting.iter_mut().find(|w| w.number == number) else { return };
         waiting.answer = Some(answer);
@@ -301,7 +301,7 @@ impl LoopState {
         }
     }
 
-    /// Gives a diagnosis up. One that nobody asked for and that found no place is asked again by the next departing window.
+    /// Skips a diagnosis. If an automatic one found no place in the queue, the next departing window requests it again.
     pub fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, out: &mut Vec<Event>) {
         let own = self.gaps_waiting.iter().any(|w| w.number == number && !w.by_person);
         if own && reason == SkipReason::QueueFull {
@@ -323,7 +323,7 @@ impl LoopState {
         Ok(document.at(&self.settings.place))
     }
 
-    /// Ends the alarm of a loop that is watched no longer; none where it is at rest.
+    /// Ends the alarm of a loop that is no longer watched; `None` if it is normal.
     pub fn end_alarm(&mut self) -> Option<AlarmDocument> {
         let document = self.alarm.remove(&self.name, self.event_time_ns())?;
         Some(document.at(&self.settings.place))
@@ -350,7 +350,7 @@ impl LoopState {
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Option<AlarmDocument> {
         (self.alarm, self.gap, self.group) = (checkpoint.alarm, checkpoint.gap, checkpoint.group);
         if let Some(stream) = checkpoint.stream {
-            // An empty one may have the sizes of other settings.
+            // An empty history may have the sizes of other settings.
             if self.history.total() != stream.points || stream.points == 0 {
                 self.history = self.settings.window.history(stream.points);
             }
@@ -366,12 +366,12 @@ impl LoopState {
         (self.alarm.shown() != State::Normal).then(restored)
     }
 
-    /// Whether anything of it is still on its way.
+    /// Whether nothing of it is under way.
     pub fn is_idle(&self) -> bool {
         self.waiting.is_empty() && self.gaps_waiting.is_empty()
     }
 
-    /// Bytes that it takes, but for what all loops share.
+    /// Bytes that it occupies, without what all loops share.
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + self.name.len() + self.history.bytes() + self.aligner.bytes()
     }

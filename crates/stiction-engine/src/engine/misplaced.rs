@@ -1,7 +1,7 @@
-//! Signals under the name of another loop, or with the wrong sign, as the windows of a plant show them together.
+//! Detects signals under the name of another loop or of the wrong sign, by comparing the windows of a plant.
 //!
-//! A controller is evidence of what belongs together: it computes OP from its own PV alone. A loop whose controller can be
-//! read ([`controller::read`]) has its own signals and is left alone.
+//! The evidence is the controller, which computes OP from its own PV alone. If a loop's controller can be identified
+//! ([`controller::read`]), its signals are its own and it is left alone.
 
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -13,38 +13,38 @@ use stiction::core::signal::{lag, stats};
 use stiction::core::units::ns_from_s;
 use stiction::core::verdict::swapped::POINTS;
 
-/// Least common points of two loops.
+/// Fewest common points of two loops.
 const LEAST_POINTS: usize = 120;
-/// Largest difference of two records of one signal: of the values over their spread, and of the moves over theirs. Two
-/// transmitters on one pipe share the slow part and not the noise.
+/// Largest difference between two records of the same signal, for values and for moves, each relative to its spread. Two
+/// transmitters on one pipe share the slow part but not the noise.
 const SAME_VALUES: f64 = 0.02;
 const SAME_MOVES: f64 = 0.3;
-/// Share of OP that PV and its integral must explain for the controller to be looked for, and how many other loops are.
+/// A controller is looked for if PV and its integral explain this fraction of OP's variance, in at most this many other loops.
 const LIKELY_R2: f64 = 0.8;
 const MOST_READ: usize = 3;
-/// Pairs that are compared at most: some seconds. In a large plant a loop is compared with those next to it by name, where
-/// an exchanged tag is likeliest, and with so many to each side at least.
+/// Most pairs compared, which takes some seconds. In a large plant a loop is compared only with neighbours by name, where a
+/// mix-up is likeliest, with at least [`LEAST_REACH`] on either side.
 const MOST_PAIRS: usize = 200_000;
 const LEAST_REACH: usize = 8;
-/// Longest integral time over the length of the record: a PV that merely follows OP shows no integral action.
+/// Longest integral time relative to the record's length: a PV that merely follows OP shows no integral action.
 const LONGEST_INTEGRAL: f64 = 0.3;
-/// Correlation of OP and valve position from which the two have opposite signs: a stem that sticks lags by less.
+/// Correlation of OP and valve position below which their signs are opposite: the lag of a sticking stem has less effect.
 const OPPOSITE: f64 = -0.9;
 
-/// What is wrong with a loop's signals.
+/// A fault of a loop's signals.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Misplaced {
-    /// PV is that of this loop, whose controller it fits.
+    /// PV is that of the named loop, whose controller it fits.
     SamePv(Arc<str>),
-    /// OP is that of this loop, whose controller it fits.
+    /// OP is that of the named loop, whose controller it fits.
     SameOp(Arc<str>),
-    /// The controller answers the PV of this loop, to which its own controller does not respond.
+    /// The controller responds to the PV of the named loop, to which that loop's own controller does not respond.
     AnswersPv(Arc<str>),
     /// The valve position falls while OP rises.
     OppositePosition,
 }
 
-/// A window with what is computed of it when it is needed.
+/// A window, with figures that are computed when needed.
 struct Seen<'a> {
     name: &'a Arc<str>,
     record: &'a Record,
@@ -59,12 +59,12 @@ impl<'a> Seen<'a> {
         Self { name, record, op: record.op(), own: OnceCell::new(), manual }
     }
 
-    /// Whether the loop's own controller computes its OP from its PV.
+    /// Whether the loop's controller computes its OP from its PV.
     fn is_closed(&self) -> bool {
         *self.own.get_or_init(|| controller::read(&self.record.part(0, POINTS)).is_some())
     }
 
-    /// First common point of both, and how many there are; none where the clocks or the sampling differ.
+    /// Index of the first common point in each, and the number of common points; `None` if clocks or sampling differ.
     fn common(&self, other: &Self) -> Option<(usize, usize, usize)> {
         let step_s = self.record.point_s();
         if (step_s - other.record.point_s()).abs() > 1e-6 * step_s {
@@ -84,7 +84,7 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// What is wrong with the signals of these loops, sorted by name; at most one finding for each.
+/// The faults of these loops' signals, sorted by name; at most one for each loop.
 #[must_use]
 pub fn misplaced<'a>(loops: impl IntoIterator<Item = (&'a Arc<str>, &'a Record)>) -> Vec<(Arc<str>, Misplaced)> {
     let seen: Vec<Seen<'_>> = loops.into_iter().map(|(name, record)| Seen::new(name, record)).collect();
@@ -98,7 +98,7 @@ fn of_one(one: &Seen<'_>, all: &[Seen<'_>]) -> Option<Misplaced> {
     if one.opposite_position() {
         return Some(Misplaced::OppositePosition);
     }
-    // In manual no controller shows what belongs together.
+    // In manual mode no controller shows which signals belong together.
     if one.manual || stats::std_dev(&one.op) <= 0.0 || one.is_closed() {
         return None;
     }
@@ -129,12 +129,12 @@ fn of_one(one: &Seen<'_>, all: &[Seen<'_>]) -> Option<Misplaced> {
     Some(Misplaced::AnswersPv(found.1.name.clone()))
 }
 
-/// Whether a reading is that of a controller beyond doubt, and not of a signal that follows OP.
+/// Whether a reading is certainly that of a controller, and not of a signal that follows OP.
 fn is_plain(reading: &Reading, length_s: f64) -> bool {
     reading.r2 >= controller::CERTAIN_R2 && reading.lag_samples >= 0.0 && reading.ti_s < LONGEST_INTEGRAL * length_s
 }
 
-/// Whether two series are records of one signal.
+/// Whether two series record the same signal.
 fn is_same(a: &[f64], b: &[f64]) -> bool {
     let rms = |x: &[f64]| (stats::dot(x, x) / x.len().max(1) as f64).sqrt();
     let between = |a: &[f64], b: &[f64]| rms(&a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>());
@@ -146,8 +146,8 @@ fn moves(x: &[f64]) -> Vec<f64> {
     x.windows(2).map(|pair| pair[1] - pair[0]).collect()
 }
 
-/// Share of OP's variance that PV and its integral explain: nearly all of it under a PI controller. Lines are left out: the
-/// integral of a small offset is one.
+/// Fraction of OP's variance explained by PV and its integral: nearly all of it under a PI controller. Linear trends are
+/// removed first, since the integral of a small offset is one.
 fn explained(op: &[f64], pv: &[f64]) -> f64 {
     let mut sum = 0.0;
     let mut add = |value: &f64| {
@@ -180,7 +180,7 @@ mod tests {
         };
         let opposite = op.iter().map(|u| 100.0 - u).collect();
         assert_eq!(found(opposite), [(name.clone(), Misplaced::OppositePosition)]);
-        // A stem that sticks comes later than OP, and stands between.
+        // A sticking stem lags behind OP and has a correlation in between.
         let sticks = (0..600).map(|k: i32| 50.0 + 5.0 * libm::sin(0.05 * f64::from(20 * (k / 20)) - 0.5)).collect();
         assert_eq!(found(sticks), []);
         assert_eq!(found(op.clone()), []);

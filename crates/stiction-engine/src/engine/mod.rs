@@ -1,10 +1,10 @@
-//! The core of the daemon: one state machine per loop, told the time and handed the data.
+//! The core of the daemon: one state machine per loop, which gets time and data from its caller.
 //!
-//! [`Engine::push`] takes a sample, [`Engine::complete`] the answer to a request, [`Engine::command`] a person's command;
-//! each puts [`Event`]s out. There is no clock, thread or file below here, and no window is cut or fitted inline: a due
-//! window leaves as a [`Request`] with a snapshot of the loop's history, and whoever drives the engine computes it. Answers are consumed per
-//! loop in the order of the windows, so everything after them depends on that order and on event time alone.
-//! Gap diagnoses leave as separate [`GapRequest`]s; see [`gaps`] for when.
+//! [`Engine::push`] takes a sample, [`Engine::complete`] the answer to a request, [`Engine::command`] a person's command; each
+//! emits [`Event`]s. No clock, thread or file is used here, and no window is cut or fitted inline: a due window leaves as a
+//! [`Request`] with a snapshot of the loop's history, and the caller computes it. Answers are processed per loop in the order
+//! of the windows, so everything after them depends only on that order and on event time. Gap diagnoses leave as separate
+//! [`GapRequest`]s; [`gaps`] decides when.
 
 mod due;
 pub mod gaps;
@@ -42,19 +42,19 @@ pub use windowing::{longest, section, windows};
 pub struct LoopId(u32);
 
 impl LoopId {
-    /// Its place among the loops; a loop that comes after another has left may get the other's.
+    /// Its index among the loops; after a loop has left, a later one may reuse its index.
     #[must_use]
     pub const fn index(self) -> usize {
         self.0 as usize
     }
 }
 
-/// What the engine puts out, in order.
+/// Output of the engine, in order.
 #[derive(Debug, Clone)]
 pub enum Event {
-    /// Compute this and hand the answer back.
+    /// Compute this and return the answer.
     Request(Box<Request>),
-    /// A window and what it says by itself, to be compared with those of other loops.
+    /// A window with its separate assessment, for comparison with other loops.
     Window(LoopId, Box<LoopWindow>),
     /// An estimate to publish and record.
     Estimate(LoopId, Box<EstimateDocument>),
@@ -62,53 +62,53 @@ pub enum Event {
     Alarm(LoopId, Box<AlarmDocument>),
     /// The loop's memory after a window, to record.
     State(LoopId, Box<StateDocument>),
-    /// Compute this when nothing else waits, and hand the answer back.
+    /// Compute this when nothing else waits, and return the answer.
     GapRequest(Box<GapRequest>),
     /// A gap diagnosis to publish and record.
     Gap(LoopId, Box<PublishedGap>),
 }
 
-/// Why a due window got no fit, or a gap no diagnosis.
+/// Why a due window was not fitted, or a gap not diagnosed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SkipReason {
     /// The machine was too busy.
     QueueFull,
-    /// The daemon stopped before it was done.
+    /// The daemon stopped before it was finished.
     Shutdown,
-    /// It broke off or found no answer; its message is in the log.
+    /// It panicked or found no answer; the message is in the log.
     Failed,
 }
 
 /// Figures of a loop for health documents.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoopFigures {
-    /// What was dropped or put in.
+    /// Samples dropped or inserted.
     pub counts: AlignCounts,
     /// Greatest source time, ns.
     pub greatest_ns: Option<i64>,
     /// Windows that came due.
     pub windows: u64,
-    /// Windows that wait for their answer.
+    /// Windows waiting for their answers.
     pub waiting: usize,
 }
 
-/// Everything a loop needs to go on in another file, but for its history: see [`Engine::checkpoint`].
+/// Everything that a loop needs to continue in another file, except its history: see [`Engine::checkpoint`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Checkpoint {
     /// The alarm and its memory.
     pub alarm: Alarm,
-    /// What is usual of the loop, and the model that its gap is measured from.
+    /// The loop's usual values, and the model from which its gap is measured.
     #[serde(default)]
     pub gap: GapWatch,
-    /// What its group last said of it.
+    /// The last judgement of its group.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<GroupStanding>,
-    /// Samples on their way into the history, and what is held. Absent at the start of a run.
+    /// Samples not yet in the history, and the extent of the history. Absent at the start of a run.
     pub stream: Option<StreamState>,
 }
 
-/// Progress of a loop's stream of points.
+/// State of a loop's stream of points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StreamState {
     aligner: Aligner,
@@ -120,7 +120,7 @@ pub struct StreamState {
     /// Windows that had no answer yet.
     #[serde(default, skip_serializing_if = "is_zero")]
     waiting: u64,
-    /// End of the last window that the run before took.
+    /// End of the last window that the previous run took.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     taken_ns: Option<i64>,
 }
@@ -137,13 +137,13 @@ impl StreamState {
         self.aligner.greatest_ns()
     }
 
-    /// Windows that had come due.
+    /// Number of windows that had come due.
     #[must_use]
     pub const fn windows(&self) -> u64 {
         self.windows
     }
 
-    /// Those of them that had no answer yet.
+    /// Number of those without an answer.
     #[must_use]
     pub const fn waiting(&self) -> u64 {
         self.waiting
@@ -154,21 +154,21 @@ impl StreamState {
 #[derive(Debug)]
 pub struct Engine {
     settings: EngineSettings,
-    /// Loops with `[[loop]]` settings that have not appeared: their places are kept.
+    /// Number of loops with `[[loop]]` settings that have not appeared; places are reserved for them.
     own_absent: usize,
-    /// By handle; none where a loop was forgotten.
+    /// By handle; `None` for a forgotten loop.
     loops: Vec<Option<Box<LoopState>>>,
     by_name: HashMap<Arc<str>, LoopId>,
-    /// Handles of loops that were forgotten: the next loops get them.
+    /// Handles of forgotten loops, which are reused.
     free: BTreeSet<LoopId>,
-    /// Memory of loops that are not there, for when they come back: of forgotten ones where the alarm is not at rest.
+    /// Memory of absent loops until they return; of forgotten ones only if the alarm is active.
     left: HashMap<Arc<str>, Checkpoint>,
-    /// Stands in for a loop that was forgotten: whoever still has its handle finds nothing.
+    /// Stands in for a forgotten loop, so that a stale handle finds an empty one.
     nobody: Box<LoopState>,
 }
 
 impl Engine {
-    /// An engine without loops; those with `[[loop]]` settings appear with their first sample, as others do.
+    /// An engine without loops. Loops with `[[loop]]` settings also appear only with their first sample.
     #[must_use]
     pub fn new(settings: EngineSettings) -> Self {
         let nobody = Box::new(LoopState::new("".into(), settings.common[0].clone()));
@@ -176,7 +176,7 @@ impl Engine {
         Self { own_absent: settings.own.len(), settings, loops, by_name, free, left, nobody }
     }
 
-    /// The same engine under a daemon's id, which its documents carry.
+    /// The same engine with a daemon's id, which its documents carry.
     #[must_use]
     pub fn of_daemon(mut self, id: &str) -> Self {
         self.settings.daemon = Some(id.into());
@@ -202,20 +202,20 @@ impl Engine {
         self.ids_in(0, self.loops.len())
     }
 
-    /// The handles of loops from this place up to that one.
+    /// The handles of loops in a range of indices.
     pub fn ids_in(&self, from: usize, to: usize) -> impl ExactSizeIterator<Item = LoopId> + use<> {
         let to = to.min(self.loops.len());
         let there = (from.min(to)..to).filter(|index| self.loops[*index].is_some());
         there.map(|index| LoopId(index as u32)).collect::<Vec<LoopId>>().into_iter()
     }
 
-    /// Loops that there are.
+    /// Number of loops.
     #[must_use]
     pub fn count(&self) -> usize {
         self.by_name.len()
     }
 
-    /// Places of loops, free ones included: one more than the greatest handle's.
+    /// Number of places, free ones included: one more than the largest index.
     #[must_use]
     pub const fn places(&self) -> usize {
         self.loops.len()
@@ -233,13 +233,13 @@ impl Engine {
         self.by_name.get(name).copied()
     }
 
-    /// The handle of a loop, which appears now if it is new; `None` beyond `max_loops`. Loops with settings of their own
-    /// always have their place, whoever came before them.
+    /// The handle of a loop, which is created if it is new; `None` beyond `max_loops`. Loops with their own settings always
+    /// have a place.
     pub fn appear(&mut self, name: &str) -> Option<LoopId> {
         self.has_place_for(name).then(|| self.appear_anyway(name))
     }
 
-    /// The same whether or not there is room: for a loop that is let go again at once.
+    /// The same regardless of room, for a loop that is forgotten again at once.
     pub fn appear_anyway(&mut self, name: &str) -> LoopId {
         if let Some(id) = self.find(name) {
             return id;
@@ -253,7 +253,7 @@ impl Engine {
         id
     }
 
-    /// Keeps the memory of a loop that is not there until it comes. Gives its alarm's document where that is not at rest.
+    /// Stores the memory of an absent loop until it appears. Returns its alarm's document if the alarm is active.
     pub fn remember(&mut self, name: &str, memory: Checkpoint) -> Option<AlarmDocument> {
         let is_at_rest = memory.alarm.shown() == State::Normal;
         let document = (!is_at_rest).then(|| memory.alarm.restored(name).at(&self.settings.of(name).place));
@@ -272,8 +272,8 @@ impl Engine {
         self.loops[id.index()] = Some(new);
     }
 
-    /// Takes a loop over from an engine under whose settings its window was the same, with its history, into one of these places: alarm and gap
-    /// watch begin anew, and what was on its way is given up. `None` where there is no such loop, or no place for it.
+    /// Moves a loop with its history from an engine under whose settings its window was the same, into a place in this range.
+    /// Alarm and gap watch start from nothing, and work under way is dropped. `None` if there is no such loop or no place.
     pub fn take_loop(&mut self, from: &mut Self, name: &str, places: Range<usize>) -> Option<LoopId> {
         let (least, most) = (LoopId(places.start as u32), LoopId(places.end as u32));
         let free = self.free.range(least..most).next().copied();
@@ -289,7 +289,7 @@ impl Engine {
         Some(id)
     }
 
-    /// Whether a loop is there, or may appear.
+    /// Whether a loop exists or may appear.
     #[must_use]
     pub fn has_place_for(&self, name: &str) -> bool {
         self.find(name).is_some() || self.has_room_for(self.settings.own.contains_key(name))
@@ -310,10 +310,10 @@ impl Engine {
         self.of_mut(id).push(id, sample, out);
     }
 
-    /// Lets a loop that has left the plant leave the memory; says whether it did. One that something waits for stays. The
-    /// handle goes to the next loop that appears: whoever kept it must forget it too.
-    /// An alarm that is not at rest is kept, and the loop has it again when it comes back; all else begins anew. The
-    /// recording must hold it as an input.
+    /// Forgets a loop that has left the plant; false if it cannot be, because work is under way for it. Its handle is reused
+    /// for the next loop that appears, so the caller must drop it.
+    /// An active alarm is kept, and the loop has it again when it returns; everything else starts from nothing. The recording
+    /// must contain this as an input.
     pub fn forget(&mut self, id: LoopId) -> bool {
         if self.of(id).name.is_empty() || !self.of(id).is_idle() {
             return false;
@@ -329,24 +329,24 @@ impl Engine {
         true
     }
 
-    /// Whether nothing of a loop is on its way: it may be forgotten.
+    /// Whether no work is under way for a loop, so that it can be forgotten.
     #[must_use]
     pub fn is_idle(&self, id: LoopId) -> bool {
         self.of(id).is_idle()
     }
 
-    /// Loops that were forgotten with an alarm that is not at rest, and what is kept of them.
+    /// Loops that were forgotten with an active alarm, and their memory.
     pub fn left(&self) -> impl Iterator<Item = (&Arc<str>, &Checkpoint)> {
         self.left.iter()
     }
 
-    /// Whether a loop was forgotten with an alarm that is not at rest.
+    /// Whether a loop was forgotten with an active alarm.
     #[must_use]
     pub fn has_left(&self, name: &str) -> bool {
         self.left.contains_key(name)
     }
 
-    /// Bytes that a loop takes, but for what all loops share and for windows on their way.
+    /// Bytes of a loop, without what all loops share and without windows under way.
     #[must_use]
     pub fn bytes(&self, id: LoopId) -> usize {
         self.of(id).bytes()
@@ -359,23 +359,23 @@ impl Engine {
         self.sign(&mut out[from..]);
     }
 
-    /// Gives a due window up. Its document says so; the recording must hold the skip as an input.
+    /// Skips a due window. Its document says so; the recording must contain the skip as an input.
     pub fn skip(&mut self, id: LoopId, seq: u64, out: &mut Vec<Event>) {
         let (from, hash) = (out.len(), self.settings.origin_of(&self.of(id).name));
         self.of_mut(id).resolve(id, seq, None, &hash, out);
         self.sign(&mut out[from..]);
     }
 
-    /// Windows of a loop that wait for their answers, oldest first: place and name.
+    /// A loop's windows that wait for answers, oldest first: number and end, ns.
     pub fn waiting(&self, id: LoopId) -> impl Iterator<Item = (u64, i64)> + '_ {
         self.of(id).waiting()
     }
 
-    /// Asks for a diagnosis of a loop as it is now, in the name of a person; gives its number. With `pool` the cause is decided
-    /// from earlier diagnoses, too; the recording must hold their windows as an input.
+    /// Requests a diagnosis of a loop's current data for a person; returns its number. With `pool`, earlier diagnoses help to
+    /// decide the cause, and the recording must contain their windows as an input.
     ///
     /// # Errors
-    /// [`GapRefusal`] where too little is held of the loop.
+    /// [`GapRefusal`] if too little data is held.
     pub fn run_gap(
         &mut self,
         id: LoopId,
@@ -389,35 +389,35 @@ impl Engine {
         asked
     }
 
-    /// Takes a diagnosis. It is put out once those asked before it are done.
+    /// Takes a diagnosis, which is emitted once all earlier ones are done.
     pub fn complete_gap(&mut self, id: LoopId, number: u64, document: PublishedGap, out: &mut Vec<Event>) {
         self.of_mut(id).resolve_gap(id, number, Some(document), out);
     }
 
-    /// Gives a diagnosis up; the recording must hold the skip as an input. One that found no place is asked again by
-    /// the loop's next departing window.
+    /// Skips a diagnosis; the recording must contain the skip as an input. If it found no place in the queue, the loop's next
+    /// departing window requests it again.
     pub fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, out: &mut Vec<Event>) {
         self.of_mut(id).skip_gap(id, number, reason, out);
     }
 
-    /// Diagnoses of a loop that wait for their answers, oldest first.
+    /// A loop's diagnoses that wait for answers, oldest first.
     pub fn gaps_waiting(&self, id: LoopId) -> impl Iterator<Item = u64> + '_ {
         self.of(id).gaps_waiting()
     }
 
-    /// Takes what a loop's group says of it, or that it is in none any more; the recording must hold it as an input.
+    /// Sets the judgement of a loop's group, or that it is in none any longer; the recording must contain it as an input.
     pub fn stand(&mut self, id: LoopId, standing: Option<GroupStanding>) {
         self.of_mut(id).group = standing;
     }
 
-    /// Whether the stiction alarm of a loop is shown as active, or its newest window counts towards raising it.
+    /// Whether a loop's stiction alarm is active, or its newest window counts towards raising it, and it is not inhibited.
     #[must_use]
     pub fn alarms(&self, name: &str) -> bool {
         self.find(name).is_some_and(|id| self.of(id).alarm.is_active_or_near())
     }
 
-    /// Ends the alarm of a loop that the configuration names no longer; none where it is at rest. The recording must hold it
-    /// as an input.
+    /// Ends the alarm of a loop that is no longer configured; `None` if it is normal. The recording must contain this as an
+    /// input.
     pub fn end_alarm(&mut self, id: LoopId) -> Option<AlarmDocument> {
         let document = self.of_mut(id).end_alarm();
         document.map(|document| self.signed(document))
@@ -426,7 +426,7 @@ impl Engine {
     /// Carries out a person's command.
     ///
     /// # Errors
-    /// [`CommandError`] where the command is unknown or does not fit the alarm's state.
+    /// [`CommandError`] if the command is unknown or does not fit the alarm's state.
     pub fn command(&mut self, id: LoopId, command: &Command) -> Result<AlarmDocument, CommandError> {
         let document = self.of_mut(id).command(command)?;
         Ok(self.signed(document))
@@ -438,26 +438,26 @@ impl Engine {
         self.of(id).checkpoint()
     }
 
-    /// Takes a state over: the alarm always, the stream where the checkpoint holds one. The history that is there stays if
-    /// it is the stream's.
-    /// Gives back the alarm's document where it is not at rest.
+    /// Restores a state: the alarm always, the stream if the checkpoint has one. The current history is kept if it belongs to
+    /// that stream.
+    /// Returns the alarm's document if the alarm is active.
     pub fn restore(&mut self, id: LoopId, checkpoint: Checkpoint) -> Option<AlarmDocument> {
         let document = self.of_mut(id).restore(checkpoint);
         document.map(|document| self.signed(document))
     }
 
-    /// Takes over what windows left behind, without the stream: as at the start of the file that is verified.
+    /// Restores a state without its stream, as at the start of the file that is being verified.
     pub fn restore_memory(&mut self, id: LoopId, checkpoint: Checkpoint) {
         let of = self.of_mut(id);
         (of.alarm, of.gap, of.group) = (checkpoint.alarm, checkpoint.gap, checkpoint.group);
     }
 
-    /// The alarm's document, under this daemon's name.
+    /// The alarm's document with this daemon's id.
     fn signed(&self, document: AlarmDocument) -> AlarmDocument {
         AlarmDocument { daemon: self.settings.daemon.as_deref().map(str::to_owned), ..document }
     }
 
-    /// Puts this daemon's name on events.
+    /// Adds this daemon's id to events.
     fn sign(&self, out: &mut [Event]) {
         let Some(daemon) = &self.settings.daemon else { return };
         for event in out {
@@ -470,9 +470,9 @@ impl Engine {
         }
     }
 
-    /// Takes other settings over, and gives the loops whose own differ. A loop that was named and is named no longer goes on
-    /// as it was, over further edits too: whoever drives the engine lets it go. The recording must begin a new file here, under
-    /// these settings. Settings that are equal change nothing.
+    /// Adopts new settings, and returns the loops whose own settings differ. A loop that is no longer configured continues
+    /// unchanged, also over further edits, until the caller forgets it. The recording must begin a new file here, under these
+    /// settings. Equal settings change nothing.
     pub fn reconfigure(&mut self, settings: EngineSettings) -> Vec<LoopId> {
         let origin = |s: &EngineSettings| (s.config_hash.clone(), s.origins.clone());
         if origin(&settings) == origin(&self.settings) {
@@ -504,8 +504,7 @@ impl Engine {
         &self.of(id).settings
     }
 
-    /// The history from which a window would be cut that ended at a stamp, or with the newest sample. `None` before the
-    /// first sample.
+    /// The history for a window that ends at a stamp, or at the newest sample. `None` before the first sample.
     #[must_use]
     pub fn snapshot(&self, id: LoopId, end_ns: Option<i64>) -> Option<Snapshot> {
         self.of(id).snapshot(end_ns)

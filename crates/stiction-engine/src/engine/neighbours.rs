@@ -1,18 +1,18 @@
-//! Other loops that a gap diagnosis may find acting on its loop: those upstream, the members of its group, those of its area.
+//! Loops that a gap diagnosis may find acting on its loop: those upstream, members of its group, and those in its area.
 //!
-//! Their histories are cut to the time of the diagnosed record when the diagnosis is asked for. Their samples may come from
-//! elsewhere in another order when a recording is replayed, so the recording holds what was taken: single precision is enough,
-//! and the diagnosis itself is made from the recorded values.
+//! Their histories are cut to the time of the diagnosed record when the diagnosis is requested. In a replay their samples may
+//! come in a different order, so the recording contains the samples that were used: single precision is enough, and the
+//! diagnosis itself uses the recorded values.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Engine, GapRequest};
 use stiction::core::gap::Neighbour;
 
-/// Most loops that are offered to a diagnosis.
+/// Most loops passed to a diagnosis.
 pub const MOST: usize = 8;
 
-/// Another loop on the grid of a diagnosed record, as it is recorded.
+/// Another loop on the grid of a diagnosed record, as recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecordedNeighbour {
     /// Its name.
@@ -29,7 +29,7 @@ impl RecordedNeighbour {
         Self { name: neighbour.name.clone(), pv: single(&neighbour.pv), op: single(&neighbour.op) }
     }
 
-    /// As a diagnosis takes it.
+    /// In the form that a diagnosis takes.
     #[must_use]
     pub fn neighbour(&self) -> Neighbour {
         let double = |x: &[f32]| x.iter().map(|v| f64::from(*v)).collect();
@@ -38,7 +38,7 @@ impl RecordedNeighbour {
 }
 
 impl Engine {
-    /// The loops that may act on that of a request, as far as they were recorded during its window; at most [`MOST`].
+    /// The loops that may act on a request's loop and were recorded during its window; at most [`MOST`].
     #[must_use]
     pub fn neighbours_of(&self, request: &GapRequest) -> Vec<RecordedNeighbour> {
         let mut names: Vec<&str> = Vec::new();
@@ -50,7 +50,7 @@ impl Engine {
         names.into_iter().filter_map(|name| self.on_grid(name, request)).take(MOST).collect()
     }
 
-    /// Upstream first, then the group with its source first, then the area by name.
+    /// Those upstream first, then the group with its source first, then the area by name.
     fn candidates<'a>(&'a self, request: &GapRequest) -> impl Iterator<Item = &'a str> {
         let own = self.of(request.id);
         let place = &own.settings.place;
@@ -64,7 +64,7 @@ impl Engine {
         place.upstream.iter().chain(group).map(String::as_str).chain(area)
     }
 
-    /// A loop on the grid of a request's record; `None` where it was not recorded throughout, or does not move.
+    /// A loop on the grid of a request's record; `None` if it was not recorded throughout, or does not move.
     fn on_grid(&self, name: &str, request: &GapRequest) -> Option<RecordedNeighbour> {
         let snapshot = self.snapshot(self.find(name)?, Some(request.record.end_ns))?;
         let other = snapshot.since(request.record.start_ns)?;

@@ -1,10 +1,9 @@
-//! The loops of a plant together: which windows are compared, when, and what comes of it for each loop.
+//! The loops of a plant together: which windows are compared and when, and the result for each loop.
 //!
-//! [`PlantWatch`] keeps the newest window of every loop that oscillates. A comparison is due once each of them has a new
-//! window, or one of them has a second one, and no window of that instant waits for its answer any more: the order of the
-//! answers decides nothing. Whoever drives the watch computes the [`Comparison`] elsewhere, and hands every member's answer
-//! to the engine as a [`GroupStanding`]. The recording holds both moments, and a replay compares the windows that it has at
-//! the first.
+//! [`PlantWatch`] keeps the newest window of every oscillating loop. A comparison is due once each of them has a new window, or
+//! one of them has a second one, and no window that ends at that instant waits for its answer; so the order of the answers does
+//! not matter. The caller computes the [`Comparison`] elsewhere, and gives the engine each member's result as a
+//! [`GroupStanding`]. The recording contains both moments, and a replay compares the windows that it has at the first.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -21,20 +20,19 @@ use stiction::core::record::Record;
 use stiction::core::units::ns_from_s;
 use stiction::core::verdict::{Assessment, MemberJudgement, for_prevalence};
 
-/// Hops after which the window of a loop that fell silent is no longer compared.
+/// Hops after which the window of a silent loop is no longer compared.
 const KEPT_HOPS: f64 = 3.0;
-/// Windows for which an answer of a group holds when no further comparison confirms it.
+/// Windows for which a group's result holds without confirmation by another comparison.
 const ANSWER_HOLDS: u8 = 3;
-/// Memory of all windows that are kept, bytes; loops beyond it are not compared. Comparisons on their way may hold as much
-/// again, twice.
+/// Most bytes of kept windows; further loops are not compared. Comparisons under way may hold as much again, twice.
 const MAX_BYTES: usize = 256 << 20;
 
-/// A loop's newest window, with what it says by itself.
+/// A loop's newest window, with its separate assessment.
 #[derive(Debug, Clone)]
 pub struct LoopWindow {
     /// The window.
     pub record: Arc<Record>,
-    /// Its own assessment, before any group's answer.
+    /// Its assessment, before any group's result.
     pub own: Arc<Assessment>,
     place: LoopContext,
     hop_s: f64,
@@ -63,7 +61,7 @@ impl LoopWindow {
         }
     }
 
-    /// Bytes that it takes.
+    /// Bytes that it occupies.
     fn bytes(&self) -> usize {
         self.record.bytes() + size_of::<Assessment>()
     }
@@ -76,30 +74,30 @@ struct Kept {
     is_new: bool,
 }
 
-/// The newest windows of all loops that oscillate.
+/// The newest windows of all oscillating loops.
 #[derive(Debug, Default)]
 pub struct PlantWatch {
     kept: BTreeMap<Arc<str>, Kept>,
     bytes: usize,
-    /// Loops whose window came after the last comparison.
+    /// Number of windows since the last comparison.
     new: usize,
     /// Whether a loop has left since the last comparison.
     has_lost: bool,
-    /// Whether a window has changed anything since a comparison was last thought of.
+    /// Whether a window has changed anything since the last check for a due comparison.
     has_changed: bool,
-    /// The earliest end of a second window since then, ns.
+    /// Earliest end of a loop's second window since the last comparison, ns.
     second_ns: Option<i64>,
-    /// Windows that wait for their answers, by their ends.
+    /// Number of unanswered windows, by their ends.
     awaited: BTreeMap<i64, usize>,
 }
 
 impl PlantWatch {
-    /// A window that ends there came due; its answer is still to come.
+    /// A window with this end came due; its answer is still to come.
     pub fn expect(&mut self, end_ns: i64) {
         *self.awaited.entry(end_ns).or_default() += 1;
     }
 
-    /// One of the windows that end there was answered, or given up.
+    /// A window with this end was answered or skipped.
     pub fn answered(&mut self, end_ns: i64) {
         let Some(left) = self.awaited.get_mut(&end_ns) else { return };
         *left -= 1;
@@ -125,7 +123,7 @@ impl PlantWatch {
         }
     }
 
-    /// The comparison that is due, if one is.
+    /// The comparison that is due, if any.
     pub fn due(&mut self) -> Option<Comparison> {
         let is_whole = self.has_changed && self.new == self.kept.len();
         let newest_ns = || self.kept.values().map(|kept| kept.window.end_ns()).max().unwrap_or(i64::MIN);
@@ -143,7 +141,7 @@ impl PlantWatch {
         is_due.then_some(comparison)
     }
 
-    /// Lets a loop go that has left.
+    /// Drops a loop that has left.
     pub fn forget(&mut self, name: &str) {
         self.has_lost |= self.remove(name);
     }
@@ -155,20 +153,20 @@ impl PlantWatch {
         true
     }
 
-    /// Loops whose windows are kept.
+    /// Number of loops whose windows are kept.
     #[must_use]
     pub fn count(&self) -> usize {
         self.kept.len()
     }
 
-    /// The comparison of the windows that are kept now. Those of loops that fell silent are dropped first.
+    /// The comparison of the current windows. Those of silent loops are dropped first.
     pub fn compare(&mut self) -> Comparison {
         self.drop_silent();
         let windows = self.kept.iter().map(|(name, kept)| (name.clone(), kept.window.clone()));
         Comparison { windows: windows.collect() }
     }
 
-    /// Drops windows that are older than those of most loops: the time of one loop's clock says nothing of the others.
+    /// Drops windows that are older than those of most loops, since a single loop's clock says nothing about the others.
     fn drop_silent(&mut self) {
         let mut ends: Vec<i64> = self.kept.values().map(|kept| kept.window.end_ns()).collect();
         ends.sort_unstable();
@@ -180,14 +178,14 @@ impl PlantWatch {
     }
 }
 
-/// Windows of many loops that are to be compared.
+/// Windows of many loops to compare.
 #[derive(Debug, Clone)]
 pub struct Comparison {
     windows: Vec<(Arc<str>, LoopWindow)>,
 }
 
 impl Comparison {
-    /// Names the compared windows: the same in a live run and its replay.
+    /// Identifies the compared windows; equal in a live run and its replay.
     #[must_use]
     pub fn digest(&self) -> String {
         let mut text = String::new();
@@ -203,12 +201,12 @@ impl Comparison {
         self.windows.iter().map(|(_, window)| window.bytes()).sum()
     }
 
-    /// Loops that are compared.
+    /// The compared loops.
     pub fn loops(&self) -> impl ExactSizeIterator<Item = &Arc<str>> {
         self.windows.iter().map(|(name, _)| name)
     }
 
-    /// The groups. Depends on the windows alone.
+    /// The groups, which depend on the windows alone.
     #[must_use]
     pub fn compute(&self, daemon: Option<&str>) -> Vec<GroupDocument> {
         let loops: Vec<PlantLoop> = self.windows.iter().map(|(name, window)| window.of_plant(name)).collect();
@@ -219,32 +217,33 @@ impl Comparison {
         groups
     }
 
-    /// Loops with a signal under the wrong name or with the wrong sign. Depends on the windows alone.
+    /// Loops with a signal under the wrong name or of the wrong sign; they depend on the windows alone.
     #[must_use]
     pub fn misplaced(&self) -> Vec<(Arc<str>, Misplaced)> {
         misplaced(self.windows.iter().map(|(name, window)| (name, &*window.record)))
     }
 }
 
-/// The last answer of a loop's group, and for how long it holds.
+/// A group's last result for a loop, and how long it holds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GroupStanding {
     /// The group's judgement of the loop.
     pub judgement: MemberJudgement,
     /// Period of the common oscillation, s.
     pub period_s: f64,
-    /// Whether the loop's own finding is held back: it follows another loop whose alarm is active or about to be raised.
+    /// Whether the loop's own finding is suppressed, because it follows another loop whose alarm is active or about to be
+    /// raised.
     pub holds: bool,
-    /// The other members, the source first: as many as a gap diagnosis takes.
+    /// The other members, source first; as many as a gap diagnosis takes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) others: Vec<String>,
-    /// Windows for which it still holds.
+    /// Number of windows for which it still holds.
     windows_left: u8,
 }
 
 impl GroupStanding {
-    /// The answers of a group for its members. `alarms` says whether a loop's alarm is active or its newest window counts
-    /// towards it: source and followers mostly begin to oscillate together.
+    /// A group's results for its members. `alarms` says whether a loop's alarm is active or its newest window counts towards
+    /// it, since source and followers mostly begin to oscillate together.
     pub fn of_members(group: &GroupDocument, alarms: impl Fn(&str) -> bool) -> Vec<Self> {
         let source = group.source.loop_name.as_deref().filter(|_| group.source.kind == SourceKind::Loop);
         let is_active = source.is_some_and(alarms);
@@ -264,7 +263,7 @@ impl GroupStanding {
         group.judgements.iter().map(of).collect()
     }
 
-    /// The group's answer to the loop's next window; none where that window does not share the oscillation any more.
+    /// The group's judgement for the loop's next window; `None` if that window does not share the oscillation any longer.
     pub(super) fn answer(&self, own: &Assessment) -> Option<MemberJudgement> {
         let period_s = own.oscillation.period_s.filter(|_| own.oscillation.oscillating)?;
         if !is_near(period_s, self.period_s) {
@@ -276,7 +275,7 @@ impl GroupStanding {
         Some(MemberJudgement { p_alone: own.p_stiction, p_stiction, p_calibrated, ..self.judgement.clone() })
     }
 
-    /// Counts one window; says whether the answer still holds.
+    /// Counts a window; true if the result still holds.
     pub(super) const fn count_window(&mut self) -> bool {
         self.windows_left = self.windows_left.saturating_sub(1);
         self.windows_left > 0
@@ -317,13 +316,13 @@ mod tests {
         watch.due()
     }
 
-    /// Takes windows of loops and hops; gives the loops of each comparison.
+    /// Takes windows given by loop and hop; returns the loops of each comparison.
     fn compared(watch: &mut PlantWatch, windows: &[(&str, i64)]) -> Vec<String> {
         let take = |(name, hop): &(&str, i64)| take(watch, name, window(*hop, true));
         windows.iter().filter_map(take).map(|comparison| names(&comparison).join(" ")).collect()
     }
 
-    /// The hop and the windows of each comparison where the windows of an instant are answered in this order.
+    /// Hop and loops of each comparison if the windows of an instant are answered in this order.
     fn compared_in_order(instants: &[&[(&str, bool)]], order: impl Fn(usize, usize) -> usize) -> Vec<(usize, String)> {
         let (mut watch, mut all) = (PlantWatch::default(), Vec::new());
         for (hop, instant) in instants.iter().enumerate() {
@@ -341,7 +340,7 @@ mod tests {
 
     #[test]
     fn the_order_in_which_windows_of_an_instant_are_answered_decides_nothing() {
-        // B is silent from the third instant on, D comes with the fourth, C calms down in the sixth.
+        // B is silent from the third instant on, D appears in the fourth, C stops oscillating in the sixth.
         let instants: [&[(&str, bool)]; 8] = [
             &[("A", true), ("B", true), ("C", true)],
             &[("A", true), ("B", true), ("C", true)],
@@ -377,7 +376,7 @@ mod tests {
         assert_eq!(compared(&mut watch, &[("A", 1), ("B", 1)]), ["A B"]);
         assert_eq!(compared(&mut watch, &[("A", 2)]), [""; 0]);
         assert_eq!(compared(&mut watch, &[("C", 2), ("B", 2)]), ["A B C"]);
-        // B says nothing for a hop.
+        // B has no window for a hop.
         assert_eq!(compared(&mut watch, &[("A", 3), ("C", 3), ("A", 4)]), ["A B C"]);
         assert_eq!(compared(&mut watch, &[("B", 4), ("C", 4)]), [""; 0]);
     }

@@ -1,4 +1,4 @@
-//! What an engine and its loops are told.
+//! Settings of an engine and its loops.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -15,25 +15,25 @@ use stiction::core::verdict::AssessParams;
 /// When windows come due and how long they are; times in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WindowParams {
-    /// Least periods for a fit.
+    /// Fewest periods for a fit.
     pub min_periods: f64,
     /// Most periods in a window.
     pub max_periods: f64,
-    /// Raw samples a period below which an estimate is called coarse.
+    /// Raw samples per period below which an estimate is called coarse.
     pub min_samples_per_period: f64,
-    /// Reversals of the stem from which a window counts, whatever its periods.
+    /// Reversals of the stem above which a window counts, whatever its number of periods.
     pub min_reversals: usize,
     /// Windows end at whole multiples of this.
     pub hop_s: f64,
     /// Longest window.
     pub max_window_s: f64,
-    /// Longest hole that is filled; 0 means five sampling times.
+    /// Longest data gap that is filled; 0 means five sampling times.
     pub max_gap_s: f64,
     /// How late a sample may come.
     pub lateness_s: f64,
-    /// Points of storage per loop before samples are boxed.
+    /// Stored points per loop above which samples are averaged in boxes.
     pub max_points: usize,
-    /// Bytes of storage per loop; 0: as `max_points` and `max_window_s` need.
+    /// Stored bytes per loop; 0: as required by `max_points` and `max_window_s`.
     #[serde(skip_serializing_if = "is_zero")]
     pub max_bytes: usize,
 }
@@ -44,7 +44,7 @@ const fn is_zero(bytes: &usize) -> bool {
 }
 
 impl WindowParams {
-    /// The memory of a loop that goes on after so many points.
+    /// The history of a loop that continues after this many points.
     #[must_use]
     pub fn history(&self, total: u64) -> History {
         let history = History::resumed(self.max_points, total);
@@ -70,12 +70,12 @@ impl Default for WindowParams {
     }
 }
 
-/// When gaps are diagnosed, and how long is searched.
+/// When gaps are diagnosed, and how long the search may take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct GapParams {
-    /// Whether a loop that departs from its model is diagnosed without being asked.
+    /// Whether a loop that departs from its model is diagnosed automatically.
     pub enabled: bool,
-    /// Model responses that one search may compute; a diagnosis with a recorded valve position makes two.
+    /// Most model responses in one search; a diagnosis with a recorded valve position makes two searches.
     pub budget_evaluations: u64,
 }
 
@@ -88,9 +88,9 @@ impl Default for GapParams {
 /// Settings of a loop, shared by all loops without a `[[loop]]` entry.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoopSettings {
-    /// Foreign keys that its signals come under.
+    /// Foreign keys of its signals.
     pub keys: Vec<(Signal, String)>,
-    /// How its signals are joined.
+    /// How its signals are aligned.
     pub align: AlignParams,
     /// Its windows.
     pub window: WindowParams,
@@ -100,13 +100,13 @@ pub struct LoopSettings {
     pub assess: AssessParams,
     /// Its gap diagnoses.
     pub gap: GapParams,
-    /// Where it belongs and what it is worth.
+    /// Its configured context.
     pub place: LoopContext,
 }
 
 impl LoopSettings {
-    /// Whether a window goes on under other settings: its samples come from the same keys and are joined in the same way, and
-    /// its length, memory and end are the same. Settings of the fit and of the alarm may differ.
+    /// Whether a window continues under other settings: its samples come from the same keys and are aligned in the same way,
+    /// and its length, memory and end are the same. Settings of the fit and of the alarm may differ.
     #[must_use]
     pub fn window_continues_under(&self, other: &Self) -> bool {
         let sizes = |w: &WindowParams| (w.hop_s, w.max_window_s, w.max_points, w.max_bytes);
@@ -114,19 +114,19 @@ impl LoopSettings {
     }
 }
 
-/// The configurations that the loops' settings come from, by their hashes: an edit that leaves a loop alone leaves its
-/// documents the same to the byte.
+/// The configurations that the loops' settings come from, by hash. So an edit that leaves a loop alone leaves its documents
+/// identical.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Origins {
-    /// That of all loops that are not listed.
+    /// Hash for all loops that are not listed.
     pub others: String,
-    /// That of the others, by loop.
+    /// Hash for each of the other loops.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub loops: BTreeMap<String, String>,
 }
 
 impl Origins {
-    /// All settings come from one configuration.
+    /// All settings from one configuration.
     #[must_use]
     pub fn new(config_hash: &str) -> Self {
         Self { others: config_hash.to_owned(), loops: BTreeMap::new() }
@@ -144,30 +144,30 @@ pub struct EngineSettings {
     pub config_hash: Arc<str>,
     /// Where each loop's settings come from.
     pub origins: Origins,
-    /// Id of the daemon, as its documents carry it; none outside one.
+    /// Id of the daemon, which its documents carry; `None` outside a daemon.
     pub daemon: Option<Arc<str>>,
-    /// Loops beyond this many do not appear.
+    /// Most loops.
     pub max_loops: usize,
-    /// Settings of loops without a `[[loop]]` entry, by what their tags say they control.
+    /// Settings of loops without a `[[loop]]` entry, by the quantity that their tags indicate.
     pub common: [Arc<LoopSettings>; LoopKind::ALL.len()],
-    /// Settings of loops that have their own, by name: their places are kept.
+    /// Settings of loops with an entry, by name; places are reserved for them.
     pub own: Arc<HashMap<String, Arc<LoopSettings>>>,
 }
 
 impl EngineSettings {
-    /// A loop's settings: its own, or those of its kind.
+    /// A loop's settings: its own, or those for its kind.
     #[must_use]
     pub fn of(&self, name: &str) -> &Arc<LoopSettings> {
         self.own.get(name).unwrap_or_else(|| &self.common[LoopKind::of_tag(name) as usize])
     }
 
-    /// Hash of the configuration that a loop's settings come from, as its documents carry it.
+    /// Hash of the configuration that a loop's settings come from, as in its documents.
     #[must_use]
     pub fn origin_of(&self, name: &str) -> Arc<str> {
         self.origins.of(name).into()
     }
 
-    /// These settings in place of others: loops whose settings are the same keep their origin.
+    /// These settings after previous ones: loops with unchanged settings keep their origin.
     #[must_use]
     pub fn in_place_of(self, before: &Self) -> Self {
         let own_hash = &*self.config_hash;

@@ -1,4 +1,4 @@
-//! Which stretch of a loop's past a due window takes.
+//! Chooses the part of a loop's past for a due window.
 
 use super::settings::WindowParams;
 use stiction::core::detect::oscillation;
@@ -7,13 +7,13 @@ use stiction::core::signal::align::Point;
 use stiction::core::signal::history::{View, record_of};
 use stiction::core::units::ns_from_s;
 
-/// Doublings between two looks: what oscillates too slowly for one is well within the next.
+/// Doublings of the box size between two searches: an oscillation too slow for one is found in the next.
 const LEVEL_STEP: usize = 2;
-/// Most doublings of the box size that are tried when looking for slow oscillations.
+/// Most doublings of the box size in the search for slow oscillations.
 const MAX_LEVELS: usize = 24;
 
-/// The record of the window that ends now: the latest `max_periods` periods of the fastest regular oscillation that
-/// shows, looked for in raw samples first and then in ever larger boxes; without one, the latest raw samples that fit.
+/// The record of the window that ends now: the latest `max_periods` periods of the fastest regular oscillation, looked for
+/// first in raw samples and then in ever larger boxes; without one, the latest raw samples that fit.
 pub(super) fn choose_record(history: View<'_>, params: &WindowParams, end_ns: i64) -> Option<Record> {
     let oldest_ns = end_ns.saturating_sub(ns_from_s(params.max_window_s));
     let mut finest = None;
@@ -38,13 +38,13 @@ pub(super) fn choose_record(history: View<'_>, params: &WindowParams, end_ns: i6
     history.record(from_ns, end_ns)
 }
 
-/// Windows that a long record is judged in, and the length from which on it is, both in windows.
+/// Numbers of windows in which a long record is judged, and the length from which it counts as long, in windows.
 const WINDOWS: [usize; 2] = [3, 5];
 const LONG: f64 = 1.6;
 
-/// The windows that a stretch is judged in where it is longer than 1.6 windows (32 periods where a window has 20):
-/// `max_periods` periods each of the fastest regular oscillation that its middle shows, three of them or, where it has
-/// room for them side by side, five, evenly spread. Empty for a shorter stretch and where nothing oscillates.
+/// The windows in which a stretch is judged if it is longer than 1.6 windows (32 periods if a window has 20). Each has
+/// `max_periods` periods of the fastest regular oscillation in the middle of the stretch. There are five if they fit side by
+/// side, else three, evenly spaced. Empty for a shorter stretch and if nothing oscillates.
 #[must_use]
 pub fn windows(stretch: &[Point], params: &WindowParams) -> Vec<Record> {
     let Some(period) = fastest_period(stretch, params) else { return Vec::new() };
@@ -58,8 +58,8 @@ pub fn windows(stretch: &[Point], params: &WindowParams) -> Vec<Record> {
     (0..count).filter_map(|k| record_of(&stretch[place(k)..place(k) + length], params.max_points)).collect()
 }
 
-/// Period, samples, of the fastest regular oscillation in the middle of a stretch: in raw samples first, then in ever
-/// larger boxes.
+/// Period, samples, of the fastest regular oscillation in the middle of a stretch, looked for first in raw samples and then in
+/// ever larger boxes.
 fn fastest_period(stretch: &[Point], params: &WindowParams) -> Option<f64> {
     for level in (0..MAX_LEVELS).step_by(LEVEL_STEP) {
         let length = stretch.len().min(params.max_points << level);
@@ -79,7 +79,7 @@ fn fastest_period(stretch: &[Point], params: &WindowParams) -> Option<f64> {
 }
 
 /// The record of a section that a person chose: the longest stretch without a gap between two stamps (ends included),
-/// named by `end_ns`, boxed as the daemon would box it. Also gives the number of points of the section outside it.
+/// identified by `end_ns`, averaged in boxes as in the daemon. Also returns the number of the section's points outside it.
 #[must_use]
 pub fn section(
     stretches: &[Vec<Point>],
@@ -96,7 +96,7 @@ pub fn section(
     (record, total - longest.len())
 }
 
-/// The longest stretch without a gap between two stamps (ends included), and how many points there are between them.
+/// The longest stretch without a gap between two stamps (ends included), and the number of points between them.
 #[must_use]
 pub fn longest(stretches: &[Vec<Point>], from_ns: i64, to_ns: i64) -> (&[Point], usize) {
     let inside = |stretch: &'_ Vec<Point>| {

@@ -1,5 +1,5 @@
-//! How a loop stands at this moment: its NE 107 sign, one sentence, and what its newest window answers. Tile, headline, page,
-//! lists and tables take all of it from here.
+//! The current status of a loop: its NE 107 sign, one sentence, and the answer of its newest window. Tiles, headline, page,
+//! lists and tables all use it.
 
 mod plant;
 
@@ -48,7 +48,7 @@ impl Sign {
         }
     }
 
-    /// Its name, and what it says of a loop.
+    /// Its name, and its meaning for a loop.
     #[must_use]
     pub const fn words(self) -> [&'static str; 2] {
         match self {
@@ -60,7 +60,7 @@ impl Sign {
         }
     }
 
-    /// That of an alarm alone: what is out of service is not to be maintained for its alarm.
+    /// The sign of an alarm alone: a loop out of service needs no maintenance for its alarm.
     #[must_use]
     pub const fn of_alarm(active: bool, out_of_service: bool) -> Option<Self> {
         match (out_of_service, active) {
@@ -71,33 +71,33 @@ impl Sign {
     }
 }
 
-/// What is known of a loop.
+/// The data on a loop.
 #[derive(Debug, Clone, Default)]
 pub struct Known<'a> {
     /// Its newest estimate.
     pub estimate: Option<&'a Assessment>,
-    /// What its windows say, newest first, that of `estimate` among them.
+    /// Verdicts of its windows, newest first, including that of `estimate`.
     pub verdicts: Vec<Verdict>,
     /// Its alarm.
     pub alarm: Option<&'a AlarmDocument>,
-    /// Whether no newer sample comes.
+    /// Whether newer samples are missing.
     pub silent: bool,
-    /// Whether the newest estimate is one of an earlier run.
+    /// Whether the newest estimate is from an earlier run.
     pub restored: bool,
 }
 
-/// How a loop stands.
+/// Status of a loop.
 #[derive(Debug, Clone, PartialEq, Serialize, schemars::JsonSchema)]
 pub struct LoopStatus {
     /// NE 107; null while there is no answer.
     pub sign: Option<Sign>,
-    /// Why, in one sentence without capital and full stop.
+    /// The reason, in one sentence without capital and full stop.
     pub sentence: String,
-    /// What the loop shows: the verdict of its newest window, or the cause that most of its last ones name.
+    /// The displayed verdict: that of its newest window, or the cause named by most of its last windows.
     pub verdict: Option<Verdict>,
-    /// What the newest window answers, under that cause.
+    /// The answer of the newest window, under that verdict.
     pub answer: Option<Answer>,
-    /// Whether the answer is older than the data allow: it comes from an earlier run, or no newer sample comes.
+    /// Whether the answer is older than it should be: it is from an earlier run, or newer samples are missing.
     pub stale: bool,
     /// Whether a signal has failed, whatever the sign says.
     pub failed: bool,
@@ -110,7 +110,7 @@ pub struct LoopStatus {
 }
 
 impl LoopStatus {
-    /// From what is known.
+    /// The status from the data.
     #[must_use]
     pub fn of(known: &Known<'_>) -> Self {
         let state = known.alarm.map_or(State::Normal, |alarm| alarm.state);
@@ -143,21 +143,21 @@ impl LoopStatus {
         }
     }
 
-    /// Where its newest window stands on stiction.
+    /// The conclusion of its newest window on stiction.
     #[must_use]
     pub fn standing(&self) -> Standing {
         self.answer.as_ref().map_or(Standing::NoAnswer, |answer| answer.standing)
     }
 }
 
-/// The verdict that a loop shows, and its sentence.
+/// The displayed verdict of a loop, and its sentence.
 struct Shown {
     verdict: Verdict,
     sentence: String,
 }
 
-/// A window that finds stiction, or gives no answer, is shown as it is: the alarm counts those. The cause of an oscillation is
-/// that of most of the last windows.
+/// A window that finds stiction, or gives no answer, is displayed as it is, since the alarm counts those. The cause of an
+/// oscillation is the one that most of the last windows name.
 fn shown(a: &Assessment, verdicts: &[Verdict]) -> Shown {
     let settled = settled(verdicts.iter().copied()).filter(|_| a.stiction == Some(false));
     match settled {
@@ -169,7 +169,7 @@ fn shown(a: &Assessment, verdicts: &[Verdict]) -> Shown {
     }
 }
 
-/// What is wrong with a signal.
+/// The fault of a signal, if any.
 fn failure(known: &Known<'_>) -> Option<String> {
     if known.silent {
         return Some("no new data".to_owned());
@@ -186,7 +186,7 @@ fn out_of_service(active: bool) -> String {
     format!("out of service{}", if active { ", while its stiction alarm is active" } else { "" })
 }
 
-/// The sign and the sentence of the newest window, whatever the alarm says.
+/// Sign and sentence from the newest window, whatever the alarm.
 fn newest(a: &Assessment, shown: &Shown) -> (Option<Sign>, String) {
     if a.gates.contains(&Gate::Manual) {
         return (Some(Sign::FunctionCheck), "the controller is in manual".to_owned());
@@ -202,7 +202,7 @@ fn newest(a: &Assessment, shown: &Shown) -> (Option<Sign>, String) {
     (sign, shown.sentence.clone())
 }
 
-/// The sentence while the alarm is active: what the newest window finds, or that it does not confirm it.
+/// The sentence while the alarm is active: the finding of the newest window, or that the window does not confirm the alarm.
 fn under_alarm(known: &Known<'_>, failure: Option<&str>, newest: Option<(Option<Sign>, String)>) -> String {
     let found = known.estimate.is_some_and(|a| Standing::of(a).is_found());
     let said = match (newest, failure) {
@@ -222,7 +222,7 @@ fn after_failure(failure: &str, silent: bool, newest: Option<(Option<Sign>, Stri
     }
 }
 
-/// The sentence without an alarm: a valve that sticks has none yet, or never can.
+/// The sentence without an alarm: a sticking valve has none yet, or cannot have one.
 fn without_alarm(known: &Known<'_>, sentence: String) -> String {
     let found = known.estimate.is_some_and(|a| Standing::of(a).is_found());
     let no_alarm = known.estimate.filter(|_| found).map_or_else(String::new, |a| {

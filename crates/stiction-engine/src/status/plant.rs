@@ -1,4 +1,4 @@
-//! The plant's headline: what is wrong, where to begin, how sure, in sentences. Active alarms come first.
+//! The plant's headline in sentences: what is wrong, where to begin, and how certain it is. Active alarms come first.
 
 use serde::Serialize;
 
@@ -12,18 +12,18 @@ use stiction::core::verdict::answer::Standing;
 pub struct InPlant<'a> {
     /// Its name.
     pub name: &'a str,
-    /// How it stands.
+    /// Its status.
     pub status: &'a LoopStatus,
     /// Priority of its alarm.
     pub priority: Option<Priority>,
     /// Class of its alarm.
     pub class: Option<Size>,
-    /// Probability that its valve sticks, by its newest window.
+    /// Probability that its valve sticks, from its newest window.
     pub p: Option<f64>,
 }
 
 impl InPlant<'_> {
-    /// How pressing it is; greater comes first.
+    /// Its urgency; larger values come first.
     #[must_use]
     pub fn urgency(&self) -> f64 {
         let found = self.status.standing().is_found();
@@ -54,7 +54,7 @@ impl InPlant<'_> {
     }
 }
 
-/// What the plant needs.
+/// The plant's overall state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Mood {
@@ -71,11 +71,11 @@ pub enum Mood {
 /// The plant in sentences.
 #[derive(Debug, Clone, PartialEq, Serialize, schemars::JsonSchema)]
 pub struct Headline {
-    /// What it needs.
+    /// The overall state.
     pub mood: Mood,
     /// The first sentence.
     pub words: String,
-    /// The loop to begin with: that of the most pressing active alarm.
+    /// The loop to begin with: the one with the most urgent active alarm.
     pub first: Option<String>,
     /// Further sentences.
     pub more: Vec<String>,
@@ -117,7 +117,7 @@ fn count(n: usize, one: &str, many: &str) -> String {
 }
 
 impl Headline {
-    /// Of all loops; `missing` more are configured and have sent nothing. `prefix` is under which data are awaited.
+    /// For all loops; `missing` further ones are configured but have sent nothing. `prefix` is where data are expected.
     #[must_use]
     pub fn of<'a>(loops: impl IntoIterator<Item = InPlant<'a>>, missing: usize, prefix: &str) -> Self {
         let mut counts = Counts { all: missing, missing, ..Counts::default() };

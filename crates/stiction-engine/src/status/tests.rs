@@ -1,4 +1,4 @@
-//! Over random histories no part of what is said of a loop or a plant contradicts another.
+//! Over random histories, no statement about a loop or plant contradicts another.
 
 use super::*;
 use crate::alarm::{Alarm, AlarmParams, Command};
@@ -60,7 +60,7 @@ fn steps() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// A loop as the daemon holds it.
+/// A loop's data as in the daemon.
 #[derive(Default)]
 struct Held {
     alarm: Alarm,
@@ -114,7 +114,7 @@ fn check(held: &Held) -> Result<LoopStatus, TestCaseError> {
         matches!(status.sign, Some(Sign::Maintenance)) || of_alarm == Some(Sign::FunctionCheck)
     );
     prop_assert_eq!(of_alarm.unwrap_or(Sign::NothingFound).id(), held.document.as_ref().map_or("none", |d| d.ne107));
-    // An active alarm is never hidden: not behind a failed signal, not behind a window that finds nothing.
+    // An active alarm is never hidden by a failed signal or by a window that finds nothing.
     let serviced = held.document.as_ref().is_some_and(|d| d.state != State::OutOfService);
     prop_assert_eq!(status.sign == Some(Sign::Maintenance), status.active && serviced);
     prop_assert!(
@@ -122,7 +122,7 @@ fn check(held: &Held) -> Result<LoopStatus, TestCaseError> {
             || status.failed && status.sentence.contains("no new data")
             || !serviced && held.document.is_some()
     );
-    // A silent loop, and one that was restored, shows its newest answer greyed.
+    // A silent or restored loop displays its newest answer greyed.
     prop_assert_eq!(status.stale, held.estimate.is_some() && (held.silent || held.restored));
     prop_assert_eq!(status.answer.is_some(), held.estimate.is_some());
     let found = status.standing().is_found();

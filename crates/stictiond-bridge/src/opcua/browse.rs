@@ -70,7 +70,7 @@ async fn children_of(session: &Session, start: NodeId, deep: bool) -> anyhow::Re
     let first: BrowseDescription = filter.new_description_from_node(start);
     let next = move |item: &BrowseResultItem| {
         let mut next = if deep { filter.get_next(item) } else { Vec::new() };
-        // The server's diagnostics are no process data.
+        // The server's own diagnostics are not process data.
         next.retain(|description| description.node_id != ObjectId::Server);
         next
     };

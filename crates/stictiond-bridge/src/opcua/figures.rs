@@ -216,7 +216,7 @@ mod tests {
         sequence.lose(9);
         sequence.lose(12);
         assert_eq!(sequence.lost(), 2);
-        // One that came late after all.
+        // A missing message that arrives late.
         assert!(sequence.take(9, true).is_empty());
         assert_eq!(sequence.lost(), 1);
         assert_eq!(sequence.take(u32::MAX, true), 13..13 + AGAIN);

@@ -19,7 +19,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use stictiond::cli::UsageError;
 use stictiond::runtime::secrets::secret;
 
-/// Time limit for an answer of the server.
+/// Time limit for a response from the server.
 const ANSWER: Duration = Duration::from_secs(10);
 /// Pause between connection attempts to a server that may still hold the session.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -261,7 +261,7 @@ impl Store {
         use std::os::unix::fs::DirBuilderExt;
         let name = format!("stictiond-opcua-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
         let path = std::env::temp_dir().join(name);
-        // Left behind by a process of the same number; a link is not followed.
+        // Left over from a process with the same id; a symbolic link is not followed.
         let _ = std::fs::remove_dir_all(&path);
         let mut builder = std::fs::DirBuilder::new();
         builder.mode(0o700).create(&path).with_context(|| path.display().to_string())?;
@@ -317,10 +317,10 @@ fn client(args: &ServerArgs, store: &Path) -> anyhow::Result<Client> {
         .max_message_size(64 << 20)
         .max_chunk_count(0)
         .ignore_clock_skew(true)
-        // Its own way of subscribing again gives no data after a restart of the server.
+        // The client's own resubscription gives no data after a restart of the server.
         .recreate_subscriptions(false);
     if let (Some(cert), Some(key)) = (&args.cert_file, &args.key_file) {
-        // Relative paths would be looked for in the store.
+        // The client would resolve relative paths against the store.
         builder = builder.certificate_path(std::path::absolute(cert)?).private_key_path(std::path::absolute(key)?);
     }
     builder.client().map_err(|faults| anyhow!(faults.join("; ")))

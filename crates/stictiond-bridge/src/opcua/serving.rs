@@ -1,4 +1,4 @@
-//! The running bridge: one session after another; takes messages apart and passes values to the bus.
+//! The running bridge: opens one session after another, takes messages apart, and passes values to the bus.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -25,7 +25,7 @@ use crate::bus::{Bus, PAUSE, Teller};
 const SILENCE_S: f64 = 30.0;
 /// Interval between retries of rejected nodes.
 const RETRIED_EVERY: Duration = Duration::from_secs(60);
-/// Time limit for closing the session and for publishing what still waits.
+/// Time limit for closing the session and for publishing the values that still wait.
 const GOODBYE: Duration = Duration::from_secs(2);
 
 fn now_ns() -> i64 {
@@ -98,7 +98,7 @@ pub async fn serve(args: &Args, nodes: Vec<Node>, stop: impl Future<Output = ()>
     Ok(bridge.figures)
 }
 
-/// Publishes what waits, in order, while somebody subscribes.
+/// Publishes waiting values, in order, while somebody subscribes.
 async fn deliver(bus: Arc<Bus>, hold: Arc<Hold>, published: Arc<AtomicU64>) -> anyhow::Result<()> {
     loop {
         let (key, value) = hold.pop().await;
@@ -148,7 +148,7 @@ impl Bridge<'_> {
         self.count_nodes(&subscription);
         self.back(false)?;
         let ended = self.follow(&session, &mut subscription, &mut events).await;
-        // What had come before the end is as good as any; what is missing in it cannot be asked for any more.
+        // Messages received before the end are still valid, but missing ones can no longer be requested.
         subscription.messages.close();
         while let Some(message) = subscription.messages.recv().await {
             self.take(None, &subscription, message).await?;
@@ -188,14 +188,14 @@ impl Bridge<'_> {
         let mut tried = Instant::now();
         loop {
             tokio::select! {
-                // Messages before events: what came before an end is taken first.
+                // Messages before events, so that messages received before an end are taken first.
                 biased;
                 Some(message) = subscription.messages.recv() => self.take(Some(session), subscription, message).await?,
                 event = events.recv() => match event {
                     Some(Event::Published) => self.presence.heard(now_ns()),
                     Some(Event::Lost(why)) => self.gone(&why)?,
                     Some(Event::Resumed) => {
-                        // The client asks for messages of new subscriptions, not of those that it has kept.
+                        // The client requests messages for new subscriptions, but not for those it has kept.
                         session.trigger_publish_now();
                         self.back(true)?;
                     }
@@ -293,7 +293,7 @@ impl Bridge<'_> {
             }
             let changes = data.into_inner_as::<DataChangeNotification>();
             for item in changes.and_then(|changes| changes.monitored_items).into_iter().flatten() {
-                // Handles are places in the list, from 1 on.
+                // Handles are indices in the list plus 1.
                 if let Some(place) = (item.client_handle as usize).checked_sub(1).filter(|p| *p < self.signals.len()) {
                     self.value(place, &item.value);
                 }
@@ -335,7 +335,7 @@ impl Bridge<'_> {
         self.hold.push((signal.key.clone(), reading));
     }
 
-    /// Values taken that are neither published nor dropped.
+    /// Values received but neither published nor dropped so far.
     fn waiting(&self) -> u64 {
         let taken = self.figures.received - self.figures.again - self.figures.refused;
         taken.saturating_sub(self.published.load(Ordering::Relaxed) + self.hold.dropped())

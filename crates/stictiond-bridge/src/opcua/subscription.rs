@@ -15,7 +15,7 @@ use super::browse::node_id;
 use super::nodes::Node;
 use super::with::Args;
 
-/// Items per request: servers limit them.
+/// Items per request, which servers limit.
 const CHUNK: usize = 500;
 /// Keep-alive interval of a silent subscription, ms.
 const ALIVE_MS: u32 = 5_000;
@@ -39,7 +39,7 @@ struct Handing(UnboundedSender<NotificationMessage>);
 
 impl OnSubscriptionNotificationCore for Handing {
     fn on_subscription_notification(&mut self, message: NotificationMessage, _: MonitoredItemMap<'_>) {
-        // Nobody takes them any more once the session is given up.
+        // After the session is given up, there is no receiver.
         let _ = self.0.send(message);
     }
 }
@@ -73,7 +73,7 @@ impl Subscription {
         let all = std::mem::take(&mut self.refused);
         let count = all.len();
         for chunk in all.chunks(CHUNK) {
-            // A sample whose value stays is a sample, too: so the time counts as a change where the server can do that.
+            // A sample with an unchanged value counts too, so a new timestamp counts as a change if the server supports that.
             let (bare, unknown) = self.create(session, args, nodes, chunk, true, &mut spaces).await?;
             refused.extend(unknown);
             if !bare.is_empty() {
@@ -129,7 +129,7 @@ impl Subscription {
                 status => refused.push((*place, status)),
             }
         }
-        // A server that answers for fewer than it was asked for has not taken the rest.
+        // If the server answers for fewer nodes than requested, it has not taken the rest.
         refused.extend(asked.iter().skip(created.len()).map(|place| (*place, StatusCode::BadUnexpectedError)));
         Ok((unfiltered, refused))
     }
@@ -141,7 +141,7 @@ fn item(id: NodeId, place: usize, args: &Args, by_time: bool) -> MonitoredItemCr
         item_to_monitor: ReadValueId::from(id),
         monitoring_mode: MonitoringMode::Reporting,
         requested_parameters: MonitoringParameters {
-            // The client numbers those that have 0.
+            // The client assigns its own number to handle 0.
             client_handle: u32::try_from(place + 1).unwrap_or(u32::MAX),
             sampling_interval: f64::from(args.sampling_ms),
             filter: if by_time { ExtensionObject::from_message(filter) } else { ExtensionObject::null() },

@@ -4,7 +4,7 @@ use serde_json::json;
 
 use stiction::core::units::format_rfc3339;
 
-/// Publisher name in the payloads.
+/// Encoding of the payloads.
 pub const ENCODING: &str = "application/opcua+uajson";
 
 /// One value of one node.
@@ -18,7 +18,7 @@ pub struct Reading {
     pub status: u32,
 }
 
-/// How far a status code lets a value be trusted.
+/// How far a value can be trusted, from its status code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trust {
     /// Use it as it is.
