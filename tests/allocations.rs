@@ -1,6 +1,5 @@
-//! No memory is asked for sample by sample on the way from the bus's callback through queue, decoding, limits and engine to
-//! the recorder.
-//! Counted with an allocator that counts, over a whole daemon without threads.
+//! The path of a sample from the bus's callback through queue, decoding, limits and engine to the recorder allocates no memory
+//! per sample. Measured with a counting allocator, over a whole daemon without threads.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::io::Write as _;
@@ -14,7 +13,7 @@ use stictiond::runtime::clock::Clock;
 
 const LOOPS: usize = 50;
 const START_NS: i64 = 1_700_000_123_000_000_000;
-/// Scans until every ring has its size, and those that are counted.
+/// Scans until every ring buffer has its final size, and the scans that are measured.
 const WARM: usize = 400;
 const COUNTED: usize = 200;
 
@@ -62,7 +61,7 @@ fn stage(dir: &std::path::Path) -> (SimDaemon, Plant) {
     (stage, Plant { keys: (0..LOOPS).flat_map(of).collect(), payload: Vec::with_capacity(1 << 16), scan: 0 })
 }
 
-/// Allocations a thousand samples in the intake and the engine, and in the recorder.
+/// Allocations per thousand samples in intake and engine, and in the recorder.
 fn counted(batch: i64) -> [f64; 2] {
     let dir = tempfile::tempdir().unwrap();
     let (mut stage, mut plant) = stage(dir.path());
@@ -94,8 +93,8 @@ fn a_thousand_samples_ask_for_memory_a_few_dozen_times() {
         println!(
             "batches of {batch}: {taking:.2} allocations a thousand samples up to the queue of the recorder, {recording:.2} in it"
         );
-        // Measured: 7.5 one by one and 3.3 in batches up to the recorder, 44 and 53 in it, which are its file's index of each
-        // chunk and channel.
+        // Measured: 7.5 singly and 3.3 in batches up to the recorder, and 44 and 53 in it, for its file's index of each chunk
+        // and channel.
         assert!(taking < 12.0, "{taking} a thousand samples in the intake");
         assert!(recording < 60.0, "{recording} a thousand samples in the recorder");
     }

@@ -1,15 +1,15 @@
-//! A second, plainer account of the alarm after ISA-18.2, kept as lists and flags instead of bits and states.
-#![allow(dead_code)] // each test takes what it needs
+//! A second, simpler model of the alarm after ISA-18.2, with lists and flags instead of bits and states.
+#![allow(dead_code)] // each test uses a part of it
 
 use stiction_engine::alarm::MAX_SHELVE_S;
 
-/// Most windows that m of n looks at.
+/// Most windows that an m-of-n rule considers.
 const REMEMBERED: usize = 32;
 
-/// What people should see.
+/// The state as people should see it.
 #[derive(Debug, Default, Clone, PartialEq)]
 pub struct Model {
-    /// Windows that said something since the condition changed: for, against or neither.
+    /// Informative windows since the condition changed: for, against or neither.
     pub informative: Vec<char>,
     pub active: bool,
     pub needs_ack: bool,
@@ -38,7 +38,7 @@ impl Model {
         self.informative.iter().rev().take(n).filter(|v| **v == kind).count()
     }
 
-    /// Whether the window changes what people see or must know.
+    /// Takes a window; true if it changes the displayed state.
     pub fn window(&mut self, end_ns: i64, vote: Option<char>, class: usize, [m, n]: [usize; 2]) -> bool {
         let off_the_shelf = self.shelf_ends_ns.is_some_and(|ends| end_ns >= ends);
         if off_the_shelf {
@@ -67,7 +67,7 @@ impl Model {
         off_the_shelf
     }
 
-    /// Whether the command is taken.
+    /// Takes a command; true if it is accepted.
     pub fn command(&mut self, cmd: &str, for_s: Option<u64>, at_ns: i64) -> bool {
         let flip = |flag: &mut bool, to: bool| std::mem::replace(flag, to) != to;
         match cmd {

@@ -1,5 +1,5 @@
-//! A daemon under test, and what it recorded.
-#![allow(dead_code)] // each test takes what it needs
+//! A daemon under test, and its recordings.
+#![allow(dead_code)] // each test uses a part of it
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -17,7 +17,7 @@ use zenoh::Wait;
 
 pub const PREFIX: &str = "plant1/area1";
 
-/// The program under test; another build of it where `STICTIOND_BIN` names one, to see what a test says of that.
+/// The program under test, or another build named by `STICTIOND_BIN`, to run a test against that.
 pub fn program() -> String {
     std::env::var("STICTIOND_BIN").unwrap_or_else(|_| env!("CARGO_BIN_EXE_stictiond").to_owned())
 }
@@ -36,7 +36,7 @@ pub fn free_port() -> u16 {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     loop {
         let number = std::process::id().wrapping_mul(97).wrapping_add(NEXT.fetch_add(1, Ordering::Relaxed));
-        // Below the ports that systems give to clients: one of those could take it before the daemon does.
+        // Below the ports that systems assign to clients, one of which could take it before the daemon does.
         let port = 20_000 + (number % 12_000) as u16;
         if TcpListener::bind(("127.0.0.1", port)).is_ok() {
             return port;
@@ -44,12 +44,12 @@ pub fn free_port() -> u16 {
     }
 }
 
-/// A daemon under test; killed when dropped.
+/// A daemon under test, killed on drop.
 pub struct Daemon {
     child: Child,
     pub endpoint: String,
     pub recordings: PathBuf,
-    /// Where it serves /metrics and /healthz.
+    /// Address of /metrics and /healthz.
     pub web: String,
     log: Arc<Mutex<String>>,
 }
@@ -66,17 +66,17 @@ impl Daemon {
         Self::start_by(&[], dir, extra)
     }
 
-    /// Starts it by way of another program, such as a shell that sets limits.
+    /// Starts it through another program, such as a shell that sets limits.
     pub fn start_by(by: &[&str], dir: &Path, extra: &str) -> Self {
         Self::start_with(by, dir, extra, "")
     }
 
-    /// Starts it as a peer of another daemon, where one is given.
+    /// Starts it as a peer of another daemon, if one is given.
     pub fn start_on(dir: &Path, extra: &str, peer: Option<&str>) -> Self {
         Self::start_with(&[], dir, extra, &peer.map(|peer| format!("connect = [{peer:?}]\n")).unwrap_or_default())
     }
 
-    /// Starts it by way of another program, with lines of its own under `[zenoh]`.
+    /// Starts it through another program, with additional lines under `[zenoh]`.
     pub fn start_with(by: &[&str], dir: &Path, extra: &str, zenoh: &str) -> Self {
         let endpoint = format!("tcp/127.0.0.1:{}", free_port());
         let path = configure(dir, &endpoint, extra);
@@ -115,12 +115,12 @@ impl Daemon {
         assert!(Command::new("kill").args([&format!("-{name}"), &pid]).status().unwrap().success());
     }
 
-    /// Whether it still runs.
+    /// Whether it is still running.
     pub fn alive(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }
 
-    /// What it has logged so far.
+    /// Its log so far.
     pub fn logged(&self) -> String {
         self.log.lock().unwrap().clone()
     }
@@ -131,7 +131,7 @@ impl Daemon {
         wait_for(part, || self.logged().contains(part).then_some(()));
     }
 
-    /// The daemon's health, as the web server says it.
+    /// The daemon's health from the web server.
     pub fn health(&self) -> Value {
         serde_json::from_str(&http(&self.web, "/healthz")).unwrap()
     }
@@ -141,11 +141,11 @@ impl Daemon {
         http_with_status(&self.web, "/healthz").0
     }
 
-    /// Asks it to end. Its exit code, and what it logged.
+    /// Stops it; returns its exit code and its log.
     pub fn end(mut self) -> (Option<i32>, String) {
         self.signal("TERM");
         let code = self.child.wait().unwrap().code();
-        // The rest of the log is read by a thread of its own.
+        // A separate thread reads the rest of the log.
         wait_for("the end of the log", || (Arc::strong_count(&self.log) == 1).then_some(()));
         (code, self.logged())
     }
@@ -156,7 +156,7 @@ impl Daemon {
         text.lines().find_map(|l| l.strip_prefix(&row)).unwrap_or_else(|| panic!("no {name}")).parse().unwrap()
     }
 
-    /// Faults of the health document, but for what the disk of this machine is to blame for.
+    /// Faults in the health document, except those about this machine's disk.
     pub fn faults(&self) -> Vec<String> {
         let health = self.health();
         let all = health["faults"].as_array().unwrap().iter().map(|f| f.as_str().unwrap().to_owned());
@@ -174,7 +174,7 @@ impl Daemon {
         ok(&["play", input, "--connect", &self.endpoint, "--prefix", PREFIX, "--speed", "max"]);
     }
 
-    /// Plays a file and waits until all that came of it is flushed to the recordings.
+    /// Plays a file and waits until everything from it is flushed to the recordings.
     pub fn play_to_disk(&self, input: &str) {
         let before = self.counter("samples");
         self.play(input);
@@ -184,13 +184,13 @@ impl Daemon {
                 stiction_files::load_samples(file)
                     .map_or(0, |loaded| loaded.loops.iter().map(|one| one.samples.len() as u64).sum::<u64>())
             };
-            // A file that was just begun holds none yet.
+            // A new file has no samples yet.
             let kept: u64 = files(&self.recordings).iter().map(of).sum();
             (samples > before && kept >= samples).then_some(())
         });
     }
 
-    /// Waits until the recording holds so many estimates; it is flushed every tenth of a second.
+    /// Waits until the recording contains this many estimates; it is flushed every tenth of a second.
     pub fn wait_for_estimates(&self, count: usize) {
         let until = Instant::now() + Duration::from_secs(300);
         loop {
@@ -199,12 +199,12 @@ impl Daemon {
                 return;
             }
             assert!(Instant::now() < until, "{seen} of {count} estimates");
-            // Each look reads all recordings, which takes time from the daemon.
+            // Every check reads all recordings, which slows the daemon.
             std::thread::sleep(Duration::from_secs(1));
         }
     }
 
-    /// Ends it in order, with exit 0.
+    /// Stops it in order, with exit code 0.
     pub fn stop(mut self) -> PathBuf {
         let pid = self.child.id().to_string();
         assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
@@ -220,7 +220,7 @@ impl Daemon {
     }
 }
 
-/// Writes the configuration of a daemon that records into `rec` beside it.
+/// Writes the configuration of a daemon that records into the folder `rec` next to it.
 pub fn configure(dir: &Path, endpoint: &str, extra: &str) -> PathBuf {
     let recordings = dir.join("rec");
     let config = format!(
@@ -253,13 +253,13 @@ fn ask_within(bus: &zenoh::Session, selector: &str, within: Duration) -> Result<
     }
 }
 
-/// The state of the alarm of FIC101, as queries say it; none where the daemon does not answer yet.
+/// State of FIC101's alarm, from a query; `None` if the daemon does not answer yet.
 pub fn alarm_state(bus: &zenoh::Session) -> Option<String> {
     let document = ask_within(bus, &plane("FIC101/alarm"), Duration::from_secs(20)).ok()?;
     Some(document["state"].as_str().unwrap().to_owned())
 }
 
-/// A daemon whose alarm on FIC101 is raised.
+/// A daemon with a raised alarm on FIC101.
 pub fn alarmed(dir: &Path) -> Daemon {
     let daemon = Daemon::start(dir, FAST);
     daemon.play(&sticking(dir));
@@ -267,7 +267,7 @@ pub fn alarmed(dir: &Path) -> Daemon {
     daemon
 }
 
-/// The alarm's state after one more start.
+/// The alarm's state after another start.
 pub fn state_after_restart(dir: &Path) -> String {
     let daemon = Daemon::start(dir, FAST);
     let bus = daemon.session();
@@ -277,17 +277,17 @@ pub fn state_after_restart(dir: &Path) -> String {
     state
 }
 
-/// Raw samples in a recording.
+/// Number of raw samples in a recording.
 pub fn raw_samples(file: &Path) -> usize {
     stiction_files::load_samples(file).unwrap().loops.iter().map(|l| l.samples.len()).sum()
 }
 
-/// Says that a test was skipped, past the harness; `tests/run.sh` counts these lines.
+/// Reports a skipped test past the harness; `tests/run.sh` counts these lines.
 pub fn skipped(test: &str, why: &str) {
     let _ = std::io::stderr().lock().write_all(format!("\nSKIPPED: {test}: {why}\n").as_bytes());
 }
 
-/// Waits until something is there.
+/// Waits until `look` gives a value.
 #[track_caller]
 pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let until = Instant::now() + Duration::from_secs(120);
@@ -300,19 +300,19 @@ pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// The body of an answer.
+/// The body of a response.
 pub fn http(address: &str, path: &str) -> String {
     http_with_status(address, path).1
 }
 
-/// Status and body of an answer.
+/// Status and body of a response.
 pub fn http_with_status(address: &str, path: &str) -> (u16, String) {
     let stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
     request(stream, &["GET", path], &[("Host", address)], "")
 }
 
-/// Sends a request with these headers and gives the status of the answer and its body.
+/// Sends a request with these headers; returns the status and body of the response.
 pub fn request(
     mut stream: impl Read + Write,
     [method, path]: &[&str; 2],
@@ -324,7 +324,7 @@ pub fn request(
     let head = format!("{method} {path} HTTP/1.1\r\n{lines}Connection: close\r\nContent-Length: {length}\r\n\r\n");
     stream.write_all((head + body).as_bytes()).unwrap();
     let mut bytes = Vec::new();
-    // A peer that refuses at once may reset the connection after its answer.
+    // A peer that refuses at once may reset the connection after its response.
     let ended = stream.read_to_end(&mut bytes);
     let text = String::from_utf8_lossy(&bytes);
     let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}, {ended:?}"));
@@ -334,7 +334,7 @@ pub fn request(
     (status.unwrap_or_else(|| panic!("no status: {head}")), body)
 }
 
-/// A body that was sent in chunks, each below a line with its length.
+/// A body in chunked encoding, decoded.
 fn joined(mut body: &str) -> String {
     let mut whole = String::new();
     while let Some((length, rest)) = body.split_once("\r\n") {
@@ -345,7 +345,7 @@ fn joined(mut body: &str) -> String {
     whole
 }
 
-/// The headers of a command, as the page sends them.
+/// The headers of a command, as sent by the page.
 pub fn command_headers<'a>(host: &'a str, more: &[(&'a str, &'a str)]) -> Vec<(&'a str, &'a str)> {
     let usual = [("Host", host), ("X-Stictiond", "1"), ("Content-Type", "application/json")];
     [&usual, more].concat()

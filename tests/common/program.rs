@@ -2,7 +2,7 @@
 
 use std::process::{Command, Output};
 
-/// Another build where `STICTIOND_BIN` names one.
+/// Another build if `STICTIOND_BIN` names one.
 fn under_test() -> String {
     std::env::var("STICTIOND_BIN").unwrap_or_else(|_| env!("CARGO_BIN_EXE_stictiond").to_owned())
 }
@@ -19,7 +19,7 @@ pub fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// Runs it and asks for an exit code.
+/// Runs it and checks its exit code.
 #[track_caller]
 pub fn expect(code: i32, arguments: &[&str]) -> Output {
     let output = stictiond(arguments);

@@ -1,4 +1,4 @@
-//! Crashes, clocks and disks: what was acknowledged is never lost, and the daemon always starts.
+//! Crashes, clocks and disks: acknowledged data are never lost, and the daemon always starts.
 
 use std::fs;
 use std::path::Path;
@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use zenoh::Wait;
 
-/// Documents of all kinds and raw samples in a file.
+/// Number of documents of all kinds, and of raw samples, in a file.
 fn contents(file: &Path) -> (usize, usize) {
     let info = crate::live::ok(&["info", file.to_str().unwrap(), "--verify", "--format", "json"]);
     let info: serde_json::Value = serde_json::from_str(&info).unwrap();
@@ -38,7 +38,7 @@ fn retention_takes_samples_out_keeps_results_and_never_touches_what_is_in_use() 
     let replayed = crate::live::stictiond(&["replay", done.to_str().unwrap(), "--verify"]);
     assert_eq!(replayed.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&replayed.stderr).contains("[retention]"));
-    // The file in use is still there, and becomes whole.
+    // The file in use was kept, and is completed.
     assert_eq!(files(&daemon.stop()).iter().filter(|f| f.extension().unwrap() == "mcap").count(), 2);
     let daemon = Daemon::start(dir.path(), &format!("{FAST}[retention]\nraw_bytes = 1\nresults_bytes = 1\n"));
     wait_for("the removal", || (daemon.counter("recordings_removed") >= 1).then_some(()));
@@ -65,13 +65,13 @@ fn damaged_recordings_are_named_until_they_are_gone_and_recover_saves_what_can_b
     });
     assert!(faults.iter().any(|f| f.contains("3 broken files are in")), "{faults:?}");
     assert_eq!(daemon.counter("quarantined"), 3);
-    // Rescued into another folder: what was damaged gives what it can, what was whole is copied to the byte.
+    // Rescues into another folder: as much as possible of damaged files, and an exact copy of complete ones.
     let out = dir.path().join("rescued");
     let status = crate::live::stictiond(&["recover", rec.to_str().unwrap(), "--out", out.to_str().unwrap()]).status;
     assert_eq!(status.code(), Some(3));
     assert_eq!(fs::read(out.join(done.file_name().unwrap())).unwrap(), whole);
     assert!(contents(&out.join("hurt0.mcap")).1 > 1000);
-    // Never onto itself, asked for by name or by folder.
+    // Never onto itself, whether named by file or by folder.
     let again = out.join(done.file_name().unwrap());
     for onto in [&again, &out] {
         let said =
@@ -117,13 +117,13 @@ fn an_acknowledgement_outlives_kill_9_and_an_orderly_end() {
     let bus = daemon.session();
     let acked = ask(&bus, &plane("FIC101/alarm?cmd=ack;by=ann;why=seen")).unwrap();
     assert_eq!((&acked["state"], &acked["by"]), (&"acked".into(), &"ann".into()));
-    // The answer is there: from here on nothing may take it back.
+    // After the reply, nothing may undo the command.
     daemon.kill();
     drop(bus);
     assert_eq!(state_after_restart(dir.path()), "acked");
     assert_eq!(state_after_restart(dir.path()), "acked", "after an orderly end");
     let all = files(&dir.path().join("rec"));
-    // Without the store the recordings give it.
+    // Without the store the state comes from the recordings.
     fs::remove_file(dir.path().join("rec/state.redb")).unwrap();
     assert_eq!(state_after_restart(dir.path()), "acked", "without the store");
     for file in all.iter().filter(|f| f.extension().unwrap() == "mcap") {
@@ -145,9 +145,9 @@ fn a_recording_in_columns_outlives_kill_9_up_to_its_last_flush() {
     daemon.kill();
     assert!(raw_samples(&open) >= samples && samples > 1000, "{samples}");
     let replayed = crate::live::stictiond(&["replay", open.to_str().unwrap(), "--verify"]);
-    // Cut off, and equal up to there.
+    // Cut off, and equal up to that point.
     assert_eq!(replayed.status.code(), Some(3), "{}", String::from_utf8_lossy(&replayed.stderr));
-    // The alarm is found in it without the store; the next file begins where this one ended.
+    // Without the store, the alarm is found in this file; the next file begins where it ended.
     fs::remove_file(dir.path().join("rec/state.redb")).unwrap();
     assert_eq!(state_after_restart(dir.path()), "unack");
 }
@@ -157,7 +157,7 @@ fn kills_just_after_a_start_cost_no_alarm() {
     let dir = tempfile::tempdir().unwrap();
     alarmed(dir.path()).kill();
     let path = configure(dir.path(), &format!("tcp/127.0.0.1:{}", free_port()), FAST);
-    // Set higher for a long run; also without the store, from the recordings alone.
+    // Set higher for long runs. Half of the cycles go without the store, from the recordings alone.
     let cycles = std::env::var("STICTIOND_CYCLES").ok().and_then(|n| n.parse().ok()).unwrap_or(16_u64);
     for cycle in 0..cycles {
         if cycle % 2 == 1 {
@@ -207,7 +207,7 @@ fn a_recording_folder_that_is_removed_is_counted_named_and_made_again() {
     assert_eq!(kept as u64 + lost, 80, "every sample is recorded or counted as lost");
 }
 
-/// What commands make of an alarm that holds: kept here as three flags.
+/// Effect of commands on an active alarm, modelled by three flags.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Inhibit {
     acked: bool,
@@ -225,7 +225,7 @@ impl Inhibit {
         }
     }
 
-    /// The alarm after a command, and the command's words.
+    /// The state after a command, and the command's name.
     fn asked(self, k: u64) -> (Self, &'static str) {
         match k % 3 {
             0 if !self.acked => (Self { acked: true, ..self }, "ack"),
@@ -241,7 +241,7 @@ impl Inhibit {
 fn commands_that_were_answered_outlive_kill_9_at_any_moment() {
     let dir = tempfile::tempdir().unwrap();
     alarmed(dir.path()).kill();
-    // Set higher for a long run.
+    // Set higher for long runs.
     let cycles = std::env::var("STICTIOND_CYCLES").ok().and_then(|n| n.parse().ok()).unwrap_or(12_u64);
     let mut random = ChaCha8Rng::seed_from_u64(cycles);
     let mut known = Inhibit { acked: false, shelved: false, suppressed: false };
@@ -251,7 +251,7 @@ fn commands_that_were_answered_outlive_kill_9_at_any_moment() {
         let bus = daemon.session();
         let state = wait_for("an alarm", || alarm_state(&bus));
         assert_eq!(state, known.shown(), "cycle {cycle}: {known:?}");
-        // Some are answered and then it dies at once; one may be under way when it dies.
+        // Some commands are answered just before the kill, and one may be under way.
         for k in 0..random.next_u32() % 3 {
             let (next, cmd) = known.asked(u64::from(random.next_u32()));
             ask(&bus, &plane(&format!("FIC101/alarm?cmd={cmd};by=ann")))
@@ -267,7 +267,7 @@ fn commands_that_were_answered_outlive_kill_9_at_any_moment() {
         if told {
             (known, answered) = (next, answered + 1);
         } else {
-            // Nobody was told: either is right, and whichever it is stays.
+            // No reply was given, so both states are valid, and the one found must persist.
             cut += 1;
             let state = state_after_restart(dir.path());
             assert!([known.shown(), next.shown()].contains(&&*state), "cycle {cycle}: {state}, {known:?}, {next:?}");
@@ -277,7 +277,7 @@ fn commands_that_were_answered_outlive_kill_9_at_any_moment() {
     println!("{cycles} cycles, {answered} commands answered, {cut} cut off: none lost");
 }
 
-/// Which of two states the store holds.
+/// Which of two states is in the store.
 fn settled(dir: &Path, before: Inhibit, after: Inhibit) -> Inhibit {
     let store = stiction_files::store::StateStore::open(&dir.join("rec/state.redb")).unwrap();
     let stored = store.load().unwrap().values;

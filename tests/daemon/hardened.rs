@@ -1,4 +1,4 @@
-//! The hardened configuration as it is shipped, with certificates made here: what is allowed works, the rest is refused.
+//! The shipped hardened configuration, with certificates generated here: what is allowed works, everything else is refused.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +9,7 @@ use std::time::Duration;
 use crate::live::{PREFIX, ask, free_port, plane, wait_for};
 use zenoh::Wait;
 
-/// Runs openssl, which makes the certificates.
+/// Runs openssl to make certificates.
 fn openssl(dir: &Path, arguments: &[&str]) {
     let out = Command::new("openssl").args(arguments).current_dir(dir).output();
     let out =
@@ -17,7 +17,7 @@ fn openssl(dir: &Path, arguments: &[&str]) {
     assert!(out.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&out.stderr));
 }
 
-/// An authority, and a certificate of it for each name.
+/// A certificate authority, and a certificate from it for each name.
 fn certificates(dir: &Path, names: &[&str]) {
     let ec = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"];
     let ca = ["req", "-x509", "-days", "2", "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=authority"];
@@ -32,7 +32,7 @@ fn certificates(dir: &Path, names: &[&str]) {
     }
 }
 
-/// A shipped Zenoh file with the places of this test.
+/// A shipped Zenoh file with the paths of this test.
 fn placed(dir: &Path, name: &str, port: u16) -> String {
     let text = fs::read_to_string(format!("config/{name}.json5")).unwrap();
     let here = dir.to_str().unwrap();
@@ -43,7 +43,7 @@ fn placed(dir: &Path, name: &str, port: u16) -> String {
         .replace("tls/router.plant:7447", &format!("tls/localhost:{port}"))
 }
 
-/// A session of somebody with a certificate of the authority.
+/// A session with a certificate of the authority for this name.
 fn session(dir: &Path, name: &str, port: u16) -> zenoh::Session {
     let text = placed(dir, "hardened-daemon", port)
         .replace("user: \"stictiond\"", &format!("user: \"{name}\""))
@@ -65,7 +65,7 @@ fn each_party_has_its_own_keys_and_a_forbidden_put_is_refused() {
     fs::write(dir.join("router.json5"), placed(dir, "hardened-router", port)).unwrap();
     let router = zenoh::open(zenoh::Config::from_file(dir.join("router.json5")).unwrap()).wait().unwrap();
 
-    // The shipped configuration, with this test's places.
+    // The shipped configuration with the paths of this test.
     fs::write(dir.join("daemon.json5"), placed(dir, "hardened-daemon", port)).unwrap();
     let text = fs::read_to_string("config/hardened.toml").unwrap();
     let text = text
@@ -88,21 +88,21 @@ fn each_party_has_its_own_keys_and_a_forbidden_put_is_refused() {
         text.lines().find_map(|l| l.strip_prefix("stictiond_samples_total ")).unwrap().parse::<u64>().unwrap()
     };
 
-    // The gateway is heard. What it sends before the daemon's subscription has come round is not.
+    // The gateway is heard. Samples sent before the daemon's subscription has propagated are not.
     let gateway = session(dir, "gateway", port);
     let op = format!("{PREFIX}/FIC101/op");
     wait_for("the gateway's samples", || {
         gateway.put(&op, "1").wait().unwrap();
         (samples() > 0).then_some(())
     });
-    // A stranger has a certificate of the same authority, and is connected: what it puts is dropped on the way.
+    // A stranger with a certificate of the same authority is connected, but its messages are dropped on the way.
     let stranger = session(dir, "stranger", port);
     let heard = Arc::new(Mutex::new(Vec::new()));
     let operator = session(dir, "operator", port);
     let (taking, forged) = (heard.clone(), plane("FIC101/alarm"));
     let listening = operator
         .declare_subscriber(&forged)
-        // What a session says to itself no router sees.
+        // A session's messages to itself bypass the router.
         .allowed_origin(zenoh::sample::Locality::Remote)
         .callback(move |s| taking.lock().unwrap().push(s.payload().to_bytes().to_vec()))
         .wait()
@@ -117,13 +117,13 @@ fn each_party_has_its_own_keys_and_a_forbidden_put_is_refused() {
         std::thread::sleep(Duration::from_millis(20));
     }
     assert_eq!(samples(), before, "only the gateway writes the plant's keys");
-    // After them an allowed one gets through, so nothing was merely slow.
+    // An allowed message after them gets through, so they were not merely slow.
     wait_for("one more", || {
         gateway.put(&op, "4").wait().unwrap();
         (samples() > before).then_some(())
     });
     assert!(heard.lock().unwrap().is_empty(), "nobody forges the daemon's documents");
-    // Who may query may command: the operator is answered by the daemon, the stranger by nobody.
+    // Whoever may query may send commands: the daemon answers the operator; the stranger gets no answer.
     let command = plane("FIC101/alarm?cmd=ack;by=ann");
     let answered = wait_for("an answer", || ask(&operator, &command).err().filter(|e| e != "no answer"));
     assert!(answered.contains("nothing to acknowledge"), "{answered}");

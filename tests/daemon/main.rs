@@ -1,6 +1,7 @@
-//! The daemon under faults, crashes, hostile clients and a restart of everything around it: what docs/dev/robustness.md promises.
+//! The daemon under faults, crashes, hostile clients and restarts of everything around it, as promised in
+//! docs/dev/robustness.md.
 //!
-//! Most of it waits, so `tests/run.sh` runs it beside what computes.
+//! Most of these tests wait, so `tests/run.sh` runs them in parallel with those that compute.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod crashes;

@@ -11,10 +11,10 @@ use crate::live::{Daemon, PREFIX, ask, documents, files, http, ok, plane, wait_f
 
 const SETTINGS: &str = "[input]\ndiscover = false\n[window]\nhop_s = 60.0\n[plant]\ngroups = false\n";
 const ADDED: &str = "[[loop]]\nname = \"FIC101\"\nop = \"gw/FIC101.OP\"\npv = \"gw/FIC101.PV\"\n";
-/// A loop that is watched all the while.
+/// A loop that is watched throughout.
 const OTHER: &str = "[[loop]]\nname = \"TIC7\"\n";
 
-/// Sends so many seconds of two loops: one under the prefix, one under keys of a gateway. Gives the next second.
+/// Sends this many seconds of two loops: one under the prefix, one under keys of a gateway. Returns the next second.
 fn send(bus: &zenoh::Session, from_s: i64, seconds: i64) -> i64 {
     for second in from_s..from_s + seconds {
         let t_ns = (1_700_000_000 + second) * 1_000_000_000;
@@ -73,8 +73,8 @@ fn an_operator_adds_a_loop_to_a_running_daemon_sees_its_first_window_and_removes
     assert_eq!(first["loop"], "FIC101");
     assert_eq!(names(&daemon), ["FIC101", "TIC7"]);
 
-    // A file with a fault, and one that needs a restart: neither changes anything, and both are named.
-    // The health is made every few seconds: the one at hand may still be that of the old file.
+    // A file with a fault, and one that needs a restart: neither changes anything, and both are reported. The health is updated
+    // every few seconds, so the current document may still be from the old file.
     let hash = wait_for("the new file's health", || {
         Some(daemon.health()["config_hash"].clone()).filter(|hash| *hash != before)
     });

@@ -1,4 +1,4 @@
-//! A valve that is repaired while the daemon runs: maintenance compares the windows before and after the date of the work.
+//! A valve repaired while the daemon runs: the maintenance list compares the windows before and after the date of the work.
 
 use std::fs;
 use std::net::TcpStream;
@@ -12,7 +12,7 @@ const SCENARIO: &str = include_str!("../../recordings/scenarios/sticking.toml");
 /// The valve sticks until 08:33 and is repaired at 09:00. After 09:30 it moves freely.
 const REPAIRED: &str = "2026-01-05T09:00:00Z";
 
-/// A recording of the loop, with the valve as it then is.
+/// A recording of the loop with these bands.
 fn simulated(dir: &Path, name: &str, start: &str, bands: [f64; 2]) -> String {
     let [fs, fd] = bands;
     let text = SCENARIO
@@ -30,7 +30,7 @@ fn review(daemon: &Daemon, label: &str, work_at: Option<&str>) -> (u16, String) 
     request(stream, &["POST", "/api/v1/loops/FIC101/review"], &command_headers("localhost", &[]), &body)
 }
 
-/// What the maintenance list says of the loop's newest review, once it is compared.
+/// Result of the loop's newest review in the maintenance list, once it has been compared.
 fn outcome(daemon: &Daemon, label: &str) -> Value {
     wait_for("a comparison", || {
         let list: Value = serde_json::from_str(&http(&daemon.web, "/api/v1/maintenance")).unwrap();
@@ -53,7 +53,7 @@ fn a_repair_is_judged_from_the_date_of_the_work() {
         let (status, body) = review(&daemon, label, work_at);
         assert!(status == 422 && body.contains("work_at"), "{label}, {work_at:?}: {status} {body}");
     }
-    // From the window that was reviewed on there are no others yet.
+    // There are no windows after the reviewed one yet.
     assert_eq!(review(&daemon, "stiction", None).0, 200);
     assert_eq!(outcome(&daemon, "stiction")["outcome"]["helped"], "unknown");
 

@@ -1,4 +1,4 @@
-//! Life as a service: signals, locks, limits of the system, and what `check` finds before the start.
+//! Running as a service: signals, locks, system limits, and what `check` finds before the start.
 
 use std::fs;
 use std::os::unix::net::UnixDatagram;
@@ -24,12 +24,12 @@ fn sighup_reads_the_configuration_again_and_begins_new_recordings() {
     let line = |part: &str| log.lines().find(|l| l.contains(part)).unwrap_or_default().to_owned();
     let said = line("changes are in force");
     assert!(said.contains("alarm.s_limit_op") && said.contains("commands.enabled, recording.max_s"), "{log}");
-    // The file is finished, and another one is open.
+    // The file is finished, and a new one is open.
     let done = first.with_extension("");
     wait_for("the finished file", || done.exists().then_some(()));
     wait_for("a new file", || (files(&daemon.recordings).len() == 2).then_some(()));
     ok(&["info", done.to_str().unwrap(), "--verify"]);
-    // Broken, it changes nothing and is a fault until it is mended.
+    // A broken file changes nothing, and is a fault until it is fixed.
     fs::write(&config, "[site]\nprefx = 1\n").unwrap();
     daemon.signal("HUP");
     wait_for("the fault", || daemon.faults().iter().any(|f| f.contains("the old one holds")).then_some(()));
@@ -83,7 +83,8 @@ fn a_folder_belongs_to_one_daemon() {
 #[test]
 fn a_limit_on_file_size_costs_recordings_not_the_daemon() {
     let dir = tempfile::tempdir().unwrap();
-    // 512-byte or 1 KiB blocks, as the shell has it: at most 256 KiB a file, less than the store and a recording need.
+    // In blocks of 512 bytes or 1 KiB, depending on the shell: at most 256 KiB per file, less than the store and a recording
+    // need.
     let mut daemon =
         Daemon::start_by(&["sh", "-c", "ulimit -f 256; exec \"$@\"", "sh"], dir.path(), "[recording]\nflush_s = 0.1\n");
     let bus = daemon.session();
@@ -98,7 +99,7 @@ fn a_limit_on_file_size_costs_recordings_not_the_daemon() {
     });
     assert!(daemon.alive());
     bus.close().wait().unwrap();
-    // The index of the last file may find no room either.
+    // The index of the last file may not fit either.
     let (code, log) = daemon.end();
     assert!(code == Some(0) || code == Some(1) && log.contains("recordings not finished"), "{code:?}\n{log}");
 }
@@ -162,7 +163,7 @@ fn a_second_daemon_under_the_same_zenoh_id_says_that_it_is_blind() {
     b.wait().unwrap();
 }
 
-/// A daemon that need not get as far as watching: killed when dropped.
+/// A daemon that may never start watching; killed on drop.
 struct Started(std::process::Child, std::path::PathBuf);
 
 impl Drop for Started {
@@ -191,7 +192,7 @@ impl Started {
     }
 }
 
-/// Faults by way of the web server, once it answers.
+/// Faults from the web server, once it responds.
 fn faults_at(web: u16) -> Option<String> {
     std::net::TcpStream::connect(("127.0.0.1", web)).ok()?;
     let health: serde_json::Value =
@@ -242,7 +243,7 @@ fn a_router_that_is_not_there_is_a_fault_until_it_comes() {
     router.close().wait().unwrap();
 }
 
-/// A folder on a disk of its own of 4 MiB, which only root can make; unmounted when dropped.
+/// A folder on a separate disk of 4 MiB, which only root can create; unmounted on drop.
 struct SmallDisk(std::path::PathBuf);
 
 impl SmallDisk {
@@ -296,7 +297,7 @@ fn a_full_disk_and_a_read_only_one_are_faults_that_clear_and_every_sample_is_acc
     let stopped = || daemon.faults().iter().any(|f| f.contains("recording has stopped"));
     wait_for("the fault's end", || (!stopped()).then_some(()));
     wait_for("200", || (daemon.health_status() == 200).then_some(()));
-    // Somebody else fills the disk.
+    // Another program fills the disk.
     let filler = rec.join("filler");
     let mut file = fs::File::create(&filler).unwrap();
     while std::io::Write::write(&mut file, &[7; 4096]).is_ok_and(|n| n > 0) {}

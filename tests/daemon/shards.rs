@@ -1,4 +1,4 @@
-//! Several daemons that share a plant's loops by `[shard]`.
+//! Several daemons that divide a plant's loops by `[shard]`.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,7 +10,7 @@ use serde_json::Value;
 use stiction_engine::shard::Shard;
 use zenoh::Wait;
 
-/// A part of the loops, on a bus of its own that may be connected to another daemon's.
+/// A daemon for a part of the loops, on a separate bus that may be connected to another daemon's.
 fn shard(dir: &Path, index: u32, id: &str, connect: Option<&str>) -> Daemon {
     std::fs::create_dir_all(dir).unwrap();
     let extra = format!("[daemon]\nid = {id:?}\n[shard]\nindex = {index}\ncount = 2\n{FAST}");
@@ -34,7 +34,7 @@ fn each_shard_watches_its_own_loops_answers_for_them_and_notices_a_second_one_of
     let second = shard(&dir.path().join("1"), 1, "plant-1", Some(&first.endpoint));
     let names: Vec<String> = (0..20).map(|k| format!("FIC{k}")).collect();
     let bus = first.session();
-    // Both must be on the bus before the samples: sent again until each loop is watched by somebody.
+    // Both must be on the bus before the samples, which are sent again until each loop is watched.
     let watched = |daemon: &Daemon| daemon.health()["loops"].as_u64().unwrap();
     let mut second_s = 0;
     wait_for("all loops", || {
@@ -46,7 +46,7 @@ fn each_shard_watches_its_own_loops_answers_for_them_and_notices_a_second_one_of
     assert_eq!((watched(&first), watched(&second)), (of_first, 20 - of_first));
     assert!(first.faults().is_empty() && second.faults().is_empty(), "{:?} {:?}", first.faults(), second.faults());
     for name in &names {
-        // No alarm is active, so the command is refused: by the daemon of the loop, and by no other.
+        // No alarm is active, so the command is refused: by the loop's daemon and by no other.
         let replies = bus.get(plane(&format!("{name}/alarm?cmd=out_of_service;by=ann"))).wait().unwrap();
         let daemons: Vec<Value> = replies
             .iter()
@@ -68,10 +68,10 @@ fn each_shard_watches_its_own_loops_answers_for_them_and_notices_a_second_one_of
     bus.close().wait().unwrap();
 }
 
-/// When an estimate came, its loop, and the start and end of its window, ns.
+/// Time of arrival of an estimate, its loop, and start and end of its window, ns.
 type Heard = (Instant, String, [i64; 2]);
 
-/// Publishes loops at 10 Hz from a session that daemons connect to, and hears their estimates, until it is dropped.
+/// Publishes loops at 10 Hz from a session that daemons connect to, and receives their estimates, until dropped.
 struct Plant {
     bus: zenoh::Session,
     endpoint: String,
@@ -111,8 +111,8 @@ impl Plant {
         Self { bus, endpoint, heard, stop, sending: Some(sending) }
     }
 
-    /// Waits until each of so many loops has had an estimate of a window that ends after a moment; says when the last of them
-    /// came, and the latest start of their windows, ns.
+    /// Waits until this many loops have had an estimate of a window that ends after a given time; returns when the last one
+    /// came, and the latest start of these windows, ns.
     fn estimated(&self, loops: usize, since_ns: i64) -> (Instant, i64) {
         wait_for("estimates of all loops", || {
             let heard = self.heard.lock().unwrap();

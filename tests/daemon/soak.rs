@@ -1,4 +1,4 @@
-//! Long runs behind a router that is restarted: nothing grows, nothing ends, and the figures are printed.
+//! Long runs with a router that is restarted: nothing grows, nothing stops, and the figures are printed.
 //!
 //! `cargo test --test daemon soak -- --nocapture` takes seconds. `STICTIOND_SOAK_S=3600 cargo test --test daemon soak -- --ignored
 //! --nocapture` is an hour of 1,000 loops at 1 Hz with two signals, the router restarted every `STICTIOND_ROUTER_S` (60).
@@ -33,7 +33,7 @@ fn session(mode: &str, listen: bool, port: u16) -> Option<zenoh::Session> {
     zenoh::open(config).wait().ok()
 }
 
-/// A client daemon of its own process; killed when dropped.
+/// A daemon process as a client; killed on drop.
 struct Client {
     child: Child,
     web: String,
@@ -140,7 +140,7 @@ fn soak_with_reconnects() {
     let dir = tempfile::tempdir().unwrap();
     let port = free_port();
     let mut router = session("router", true, port).unwrap();
-    // Histories are full and recordings finished within two minutes, so that what grows after that grows for ever.
+    // Histories fill up and recordings finish within two minutes, so anything that still grows after that grows for ever.
     let window = "[window]\nhop_s = 60.0\nmax_window_s = 120.0\nmax_points = 128\n[recording]\nmax_s = 60.0\n";
     let daemon = Client::start(dir.path(), port, window);
     let plant = session("client", false, port).unwrap();

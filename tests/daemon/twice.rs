@@ -1,4 +1,4 @@
-//! History that comes twice has windows of equal ends: a recording tells them apart by their order.
+//! History that is played twice has windows with equal ends: a recording distinguishes them by their order.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,7 +14,7 @@ use stictiond::daemon::replay::parallel::ParallelReplay;
 const SCENARIO: &str = include_str!("../../recordings/scenarios/sticking.toml");
 const TEXT: &str = "[site]\nprefix = \"p\"\n[window]\nhop_s = 300.0\n[alarm]\nraise = [32, 32]\n";
 
-/// Writes what a live run would have recorded whose first window found no worker and whose last ones met its end.
+/// Writes the recording of a live run whose first window found no worker and whose last ones were cut short by its end.
 fn record(path: &Path) -> usize {
     let metadata = [("prefix", "p"), ("config", TEXT)].map(|(k, v)| (k.to_owned(), v.to_owned()));
     let part = path.with_extension("part");

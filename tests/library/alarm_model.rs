@@ -1,4 +1,4 @@
-//! The alarm against a second, plainer account of ISA-18.2: sequences of windows and commands, each step compared.
+//! The alarm compared with a second, simpler model of ISA-18.2, step by step over sequences of windows and commands.
 
 use crate::isa::Model;
 use rand_chacha::ChaCha8Rng;
@@ -25,7 +25,7 @@ fn window(end_ns: i64, vote: Option<char>, class: usize) -> Assessment {
     let oscillation =
         Oscillation { oscillating: true, period_s: None, periods: None, samples_per_period: None, regularity: None };
     let mut a = Assessment::empty(window, oscillation);
-    // The limit is 1: above it, far below it, a little below it, silent or without enough evidence.
+    // The limit is 1: above it, far below it, a little below it, without an answer, or without enough evidence.
     let (verdict, s) = match vote {
         Some('f') => (Verdict::Stiction, 2.0),
         Some('a') => (Verdict::Tuning, 0.0),

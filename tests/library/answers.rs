@@ -1,4 +1,4 @@
-//! Answers to requests, computed once for each record and its settings: runs that differ in their order alone ask again.
+//! Answers to requests, cached by record and settings: runs that differ only in their order ask for the same ones.
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -9,7 +9,7 @@ use stiction_engine::engine::{Request, WindowAnswer};
 
 static ASSESSMENTS: LazyLock<Mutex<HashMap<u64, Assessment>>> = LazyLock::new(Mutex::default);
 
-/// What [`Request::compute`] answers.
+/// The result of [`Request::compute`].
 pub fn compute(request: &Request) -> WindowAnswer {
     let (record, params) = (request.record(), &request.settings.assess);
     let mut hasher = DefaultHasher::new();

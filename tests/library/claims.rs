@@ -1,5 +1,5 @@
-//! What the program tells a person never says more than the data bear. Each case is a claim that was once too strong, and
-//! reads what the program says, or shows in a browser, where it might make it again.
+//! The program's statements never exceed what the data support. Each case is a claim that was once too strong, with the
+//! program's or browser's text where it might reappear.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -20,7 +20,7 @@ use stiction_engine::status::{Known, LoopStatus};
 use stictiond::runtime::maintenance::rank;
 use stictiond::runtime::overview::Candidate;
 
-/// A claim, and the output that makes it.
+/// A claim, and the output where it might appear.
 struct Case {
     claim: &'static str,
     read: fn() -> String,
@@ -58,7 +58,7 @@ fn estimate(verdict: Verdict, p: f64) -> Assessment {
     }
 }
 
-/// All that report, terminal and tile say of an estimate.
+/// Everything that report, terminal and tile say about an estimate.
 fn told(a: &Assessment) -> String {
     let tile = LoopStatus::of(&Known { estimate: Some(a), verdicts: vec![a.verdict], ..Known::default() });
     let parts = [words::headline(a), words::sureness(a), words::seen(a), what_to_do(a), words::unknowns(a).join(". ")];
@@ -71,7 +71,7 @@ fn told(a: &Assessment) -> String {
     text
 }
 
-/// What the alarm says once three such windows have come after three that find stiction.
+/// The alarm's text after three windows with stiction and then three like `last`.
 fn alarm(last: &Assessment) -> String {
     let params = AlarmParams { raise: [3, 4], s_limit_op: 1.0, s_limit_span: 0.0 };
     let (mut alarm, mut text) = (Alarm::default(), String::new());
@@ -84,7 +84,7 @@ fn alarm(last: &Assessment) -> String {
     text
 }
 
-/// A calm loop as the daemon judges it.
+/// A calm loop, judged as in the daemon.
 fn screened() -> Assessment {
     let noise = |k: u64| {
         let mut z = k.wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -99,7 +99,7 @@ fn screened() -> Assessment {
     found
 }
 
-/// The row of the maintenance list and the document of a calm loop; a test beside the metrics shows that it has no series.
+/// The maintenance row and the document of a calm loop; a test next to the metrics shows that it has no series.
 fn screened_everywhere() -> String {
     let document = EstimateDocument::new("CALM", "hash", screened());
     let json = serde_json::to_string(&document).unwrap();
@@ -108,7 +108,7 @@ fn screened_everywhere() -> String {
     format!("{json}\n{row}")
 }
 
-/// Windows of a valve that sticks, and then no more.
+/// Windows of a valve that sticks and then no longer does.
 fn no_longer() -> String {
     let window = |k: i64| WindowResult {
         start_ns: k * 3_600_000_000_000,
@@ -121,7 +121,7 @@ fn no_longer() -> String {
     over_time(&(0..40).map(window).collect::<Vec<_>>()).sentences.join("\n")
 }
 
-/// A file that the browser gets.
+/// A file that the browser loads.
 fn page(path: &str) -> String {
     fs::read_to_string(path).unwrap()
 }

@@ -1,4 +1,4 @@
-//! The shipped configurations: the reference says everything the reader knows, and nothing else.
+//! The shipped configurations: the reference has every key that the reader knows, and no other.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -9,7 +9,7 @@ const MONITOR: &str = include_str!("../../config/monitor.toml");
 const DEMO: &str = include_str!("../../config/demo.toml");
 const BROKEN: &str = include_str!("../../config/broken.toml");
 
-/// The keys that the reader knows in a table: it lists them where it meets one that it does not.
+/// The keys that the reader knows in a table, which it lists when it meets an unknown one.
 fn known_in(head: &str) -> BTreeSet<String> {
     let text = match head {
         "" => "zzzzzzzz = 1\n".to_owned(),
@@ -22,7 +22,7 @@ fn known_in(head: &str) -> BTreeSet<String> {
     known.split(", ").map(str::to_owned).collect()
 }
 
-/// The keys that a text sets in a table, and the tables of tables in it.
+/// The keys set in a table, and its subtables.
 fn set_in(table: &toml::Table) -> BTreeSet<String> {
     table.keys().cloned().collect()
 }
@@ -79,7 +79,7 @@ fn the_demo_parses() {
     Config::parse(DEMO).unwrap();
 }
 
-/// Lines and keys of the faults that the broken example announces in its comments.
+/// Lines and keys of the faults announced in comments of the broken example.
 fn announced() -> BTreeSet<(usize, String)> {
     let lines = BROKEN.lines().enumerate();
     let marked = lines.filter_map(|(at, line)| Some((at + 1, line.split_once("# fault: ")?.1)));

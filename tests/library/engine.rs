@@ -1,4 +1,4 @@
-//! The engine's contract: the same inputs in the same order say the same, whatever the workers did.
+//! The engine's contract: the same inputs in the same order give the same documents, whatever the workers did.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
@@ -24,7 +24,7 @@ fn config(hop_s: f64) -> Config {
     config
 }
 
-/// Windows of few points: enough where only the order of things matters.
+/// Windows with few points: enough if only the order matters.
 fn quick(hop_s: f64) -> Config {
     let mut config = config(hop_s);
     config.window.max_points = 400;
@@ -35,14 +35,14 @@ fn quick(hop_s: f64) -> Config {
 #[derive(Clone, Copy)]
 enum Answers {
     AtOnce,
-    /// Late, shuffled, from threads, by this seed.
+    /// Late, shuffled and from threads, by this seed.
     Scattered(u64),
 }
 
-/// The seed whose answers are all computed by threads of their own; other runs look up what is known.
+/// The seed whose answers are all computed by separate threads; other runs use cached ones.
 const COMPUTED: u64 = 0;
 
-/// Every document by loop, as JSON, in the order in which the engine made them.
+/// Every document by loop, as JSON, in the order of the engine's output.
 fn run(samples: &[(String, Sample)], config: Config, answers: Answers) -> BTreeMap<String, Vec<String>> {
     let mut engine = Engine::new(config.engine());
     let mut documents: BTreeMap<String, Vec<String>> = BTreeMap::new();
@@ -140,7 +140,7 @@ fn a_live_window_and_the_same_section_of_the_recording_give_the_same_numbers() {
         engine.push(id, *sample, &mut events);
         for event in std::mem::take(&mut events) {
             let Event::Request(request) = event else { continue };
-            // Every other window will do.
+            // Every other window is enough.
             if request.end_ns % 600_000_000_000 != 0 {
                 continue;
             }
@@ -218,7 +218,7 @@ fn any_value() -> impl Strategy<Value = Value> {
     ]
 }
 
-/// Mostly a beat of one second, with everything that clocks and gateways do.
+/// Mostly a sample a second, with every irregularity of clocks and gateways.
 fn any_stamp() -> impl Strategy<Value = i64> {
     prop_oneof![
         20 => (0_i64..400).prop_map(|k| k * 1_000_000_000),
@@ -240,7 +240,7 @@ proptest! {
             .into_iter()
             .enumerate()
             .map(|(k, (stamp, signal, value, quality))| {
-                // Half of it in order, so that windows come about.
+                // Half of the samples are in order, so that windows come due.
                 let t_ns = if k % 2 == 0 { (k as i64 / 4) * 1_000_000_000 } else { stamp };
                 let quality = quality.filter(|q| q % 3 == 0);
                 ("L".to_owned(), Sample { signal: Signal::ALL[signal], t_ns, value, quality })

@@ -1,5 +1,5 @@
-//! When a loop's gap is diagnosed: after three departing windows, once a day, and whenever a person asks; always the
-//! same for the same windows, whatever becomes of the diagnoses.
+//! When a loop's gap is diagnosed: after three departing windows, once a day, and whenever a person requests it; always the
+//! same for the same windows, whatever happens to the diagnoses.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use stiction::core::record::{Sample, Signal, Value};
@@ -13,14 +13,14 @@ use stiction_engine::engine::{Engine, Event, GapReason, GapRequest, LoopId, Requ
 const SECOND: i64 = 1_000_000_000;
 const HOUR: i64 = 3600 * SECOND;
 
-/// What is done with the diagnoses that are asked for.
+/// What happens to requested diagnoses.
 #[derive(Clone, Copy, PartialEq)]
 enum Then {
     Nothing,
     Skip(SkipReason),
 }
 
-/// A loop on an engine whose estimates are made up by `judge`.
+/// A loop on an engine with estimates made by `judge`.
 struct Rig<J> {
     engine: Engine,
     id: LoopId,
@@ -28,7 +28,7 @@ struct Rig<J> {
     then: Then,
     windows: usize,
     asked: Vec<(usize, GapRequest)>,
-    /// Everything else that came out, in order, as JSON.
+    /// All other output, in order, as JSON.
     said: Vec<String>,
 }
 
@@ -103,7 +103,7 @@ fn assessment(request: &Request, fit_pct: Option<f64>) -> Assessment {
     a
 }
 
-/// Runs `hours` of slow samples, a window an hour, each with the fit that `fit_pct` gives it.
+/// Runs `hours` of slow samples, with a window an hour and the fit from `fit_pct` for each.
 fn hours(
     hours: i64,
     config: Config,
@@ -128,7 +128,7 @@ fn three_windows_in_a_row_far_below_the_median_ask_once_and_again_the_day_after(
     let rig = hours(17, config(3600.0), Then::Nothing, falls_to(74.0));
     assert_eq!(rig.asked(), [(12, GapReason::FitFell)]);
     assert!(rig.asked[0].1.model.is_none(), "no window was graded A or B");
-    // A fit that keeps falling asks a day later, and not before.
+    // A fit that keeps falling causes a request a day later, and not before.
     let keeps = |window: usize| Some(if window < 10 { 90.0 } else { 74.0 - 10.0 * (window / 5) as f64 });
     let rig = hours(80, config(3600.0), Then::Nothing, keeps);
     assert_eq!(rig.asked().iter().map(|(w, _)| *w).collect::<Vec<_>>(), [12, 36, 60]);
@@ -142,7 +142,7 @@ fn two_windows_or_fourteen_points_ask_nothing_and_windows_without_a_fit_hold_the
     assert_eq!(hours(40, config(3600.0), Then::Nothing, breaks).asked(), none);
     let holes = |window: usize| if window < 10 { Some(90.0) } else { window.is_multiple_of(2).then_some(60.0) };
     assert_eq!(hours(40, config(3600.0), Then::Nothing, holes).asked(), [(14, GapReason::FitFell)]);
-    // Nothing is usual yet.
+    // There are no usual values yet.
     let early = |window: usize| Some(if window < 3 { 90.0 } else { 60.0 });
     assert_eq!(hours(40, config(3600.0), Then::Nothing, early).asked(), none);
 }
@@ -220,7 +220,7 @@ fn a_checkpoint_carries_the_row_and_the_day_over() {
     assert_eq!(second.asked(), [(0, GapReason::FitFell)], "two windows before the restart, one after it");
 }
 
-/// A flow loop whose valve sticks by `fs` and `fd`; it starts at rest.
+/// A flow loop with a valve that sticks by `fs` and `fd`; it starts at rest.
 fn plant() -> LoopModel {
     LoopModel {
         ts_s: 1.0,
@@ -243,7 +243,8 @@ fn plant() -> LoopModel {
     }
 }
 
-/// Estimates of the true process at first, graded A; from the fifth window on as `later` says.
+/// Estimates with the bands 5 and 3 in the first twenty windows, then `fs` and 0.6 `fs`; graded D in the first four windows,
+/// then `grade`.
 fn grown(grade: char, fs: f64) -> Vec<(usize, GapRequest)> {
     let mut rig = Rig::new(config(300.0), Then::Nothing, move |window, r: &Request| {
         let mut a = assessment(r, Some(90.0));
@@ -277,7 +278,7 @@ fn a_valve_that_sticks_more_is_held_against_the_model_from_before() {
     let (window, request) = &asked[0];
     let model = request.model.as_ref().unwrap();
     assert!((22..30).contains(window) && request.reason == GapReason::GapGrew, "{window} {:?}", request.reason);
-    // The fit is as good as ever; the model is that of the first graded window, not of yesterday's.
+    // The fit is as good as ever; the model is that of the first graded window, not of a recent one.
     assert_eq!((model.valve.fs, model.valve.fd, model.valve.law.as_str()), (5.0, 3.0, "he"));
     assert!((model.process.pv - 60.0 - 2.0 * (model.process.op - 50.0)).abs() < 0.3, "{:?}", model.process);
 }

@@ -1,4 +1,4 @@
-//! Windows that are cut later than they are due, and loops that leave and come back: the same inputs say the same.
+//! Windows that are cut later than they come due, and loops that leave and return: the same inputs give the same documents.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::VecDeque;
@@ -26,7 +26,7 @@ fn samples_of(loop_name: &str) -> Vec<Sample> {
     scenario.stream().filter(|s| names[s.loop_index] == loop_name).map(|s| s.sample).collect()
 }
 
-/// What is said of windows in their order, each cut and fitted `delay` samples after it was due, every seventh given up.
+/// Documents of the windows in order, each cut and fitted `delay` samples after it was due, every seventh skipped.
 fn said(samples: &[Sample], config: &Config, delay: usize) -> Vec<String> {
     let mut engine = Engine::new(config.engine());
     let id = engine.appear("FIC201").unwrap();
@@ -64,7 +64,7 @@ fn a_window_that_is_cut_later_says_the_same() {
         let config = config(max_points);
         let at_once = said(&samples, &config, 0);
         assert!(at_once.len() >= 8, "{}", at_once.len());
-        // The last windows of a longer delay are never cut.
+        // With longer delays the last windows are never cut.
         for delay in [1, 40, 400] {
             let later = said(&samples, &config, delay);
             assert!(later.len() >= 4 && later[..] == at_once[..later.len()], "{max_points} {delay}");
@@ -119,7 +119,7 @@ proptest! {
     }
 }
 
-/// Pushes a loop's samples and answers what comes due; gives the alarm's state then.
+/// Pushes a loop's samples and answers due windows; returns the resulting state of the alarm.
 fn run(engine: &mut Engine, id: LoopId, samples: &[Sample]) -> State {
     let mut events = Vec::new();
     for sample in samples {
@@ -149,7 +149,7 @@ fn a_loop_that_left_comes_back_with_its_alarm_alone() {
     let held = engine.bytes(id);
     assert!(engine.forget(id) && !engine.forget(id));
     assert_eq!((engine.count(), engine.find("FIC201"), engine.left().count()), (0, None, 1));
-    // Who still has its handle finds nobody, and harms nobody.
+    // A stale handle finds an empty loop, and has no effect.
     engine.push(id, samples[0], &mut Vec::new());
     assert_eq!((&**engine.name(id), engine.figures(id).windows), ("", 0));
     let again = engine.appear("FIC201").unwrap();
@@ -173,13 +173,13 @@ fn a_loop_leaves_only_when_nothing_waits_and_frees_its_place() {
     assert!(!due.is_empty() && !engine.forget(a));
     due.into_iter().for_each(|seq| engine.skip(a, seq, &mut events));
     assert!(engine.forget(a) && engine.forget(b));
-    // The place of a loop with settings of its own is kept for it, and its settings too.
+    // A configured loop keeps its place and its settings.
     assert!(engine.appear("C").is_some() && engine.appear("D").is_none());
     let a = engine.appear("A").unwrap();
     assert_eq!((engine.settings(a).place.criticality, engine.count()), (Some(5), 2));
 }
 
-/// Ends of the windows that come due while these samples are taken in this order, each answered at once.
+/// Ends of the windows that come due while these samples are taken in order, each answered at once.
 fn ends_of(samples: &[Sample], config: &Config) -> Vec<i64> {
     let mut engine = Engine::new(config.engine());
     let id = engine.appear("FIC101").unwrap();
@@ -199,7 +199,7 @@ fn ends_of(samples: &[Sample], config: &Config) -> Vec<i64> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
 
-    /// A gateway's set point comes later than it may, its stamps between the others': no window is made twice.
+    /// A gateway's set point comes later than allowed, its stamps between those of the others: no window comes due twice.
     #[test]
     fn no_window_comes_due_twice_whatever_comes_late(
         every_s in 2_i64..12,

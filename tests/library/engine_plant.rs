@@ -1,4 +1,4 @@
-//! What a group says of a loop: the estimate names what drives the loop, and the alarm waits for the source's.
+//! A group's result for a loop: the estimate names what drives the loop, and the alarm waits for the source's.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use stiction::core::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
@@ -13,7 +13,7 @@ use stiction_engine::engine::{Engine, Event, GroupStanding, LoopId};
 const HOP_NS: i64 = 300_000_000_000;
 const PERIOD_S: f64 = 60.0;
 
-/// A window that by itself finds stiction of 2 OP units with p 0.8.
+/// A window that alone finds stiction of 2 OP units with p 0.8.
 fn sticking(end_ns: i64, period_s: f64) -> Assessment {
     let window = Window {
         start_ns: end_ns - HOP_NS,
@@ -79,7 +79,7 @@ fn group(p_follower: f64) -> GroupDocument {
     }
 }
 
-/// One loop on an engine, a window a hop.
+/// One loop on an engine, with one window per hop.
 struct Rig {
     engine: Engine,
     id: LoopId,
@@ -98,7 +98,7 @@ impl Rig {
         Self { engine, id, now_ns: 0, period_s: PERIOD_S }
     }
 
-    /// The answer of the group, while the source's alarm is active or not.
+    /// The group's result, while the source's alarm is active or not.
     fn stand(&mut self, source_has_alarm: bool) {
         self.stand_at(0.1, source_has_alarm);
     }
@@ -109,7 +109,7 @@ impl Rig {
         self.engine.stand(self.id, own);
     }
 
-    /// Samples up to the next estimate.
+    /// Sends samples until the next estimate.
     fn next_window(&mut self) -> EstimateDocument {
         loop {
             self.now_ns += 10_000_000_000;
@@ -190,7 +190,7 @@ fn a_p_that_the_group_lowers_below_the_alarms_threshold_raises_nothing() {
     assert!(!rig.has_alarm());
 }
 
-/// Source and follower begin to stick and to oscillate in the same hop, and are compared after each.
+/// Source and follower begin to stick and to oscillate in the same hop, and are compared after every hop.
 #[test]
 fn of_two_loops_that_begin_together_only_the_source_raises_its_alarm() {
     let mut source = Rig::of("SOURCE");

@@ -1,16 +1,16 @@
-//! The examples of `docs/formats.md` and those in hex beside the codecs: every format has one, and it is read as it says.
+//! The examples in `docs/formats.md` and those in hex next to the codecs: every format has one, and it is read as stated.
 
 use std::fs;
 
 use stiction::core::units::format_rfc3339;
 use stiction_engine::codec::{self, Bundle, Memory, Scalar};
 
-/// The page, and the examples that only programs read.
+/// The page, and the examples that are only for programs.
 pub fn page() -> String {
     ["docs/formats.md", "crates/stiction-engine/src/codec/examples.md"].map(|p| fs::read_to_string(p).unwrap()).concat()
 }
 
-/// The text of a fenced block behind a heading.
+/// The text of a fenced block after a heading.
 fn block<'t>(page: &'t str, heading: &str, kind: &str) -> &'t str {
     let (_, after) =
         page.split_once(&format!("\n### {heading}\n")).unwrap_or_else(|| panic!("no example of {heading}"));
@@ -30,7 +30,7 @@ fn every_example_of_the_page_is_read_as_it_says() {
     let page = page();
     for codec in codec::ALL.iter().filter(|codec| codec.name() != "f64le") {
         let payload = payload_of(block(&page, codec.name(), "payload"));
-        // By name, and by the look of the bytes.
+        // By name, and recognised from the bytes.
         for configured in [codec.name(), codec::AUTO] {
             let (mut fields, bundle) = (Vec::new(), Bundle { key: "gw/x", payload: &payload, fallback_t_ns: 7 });
             let read = codec::decode_fields(&bundle, None, Some(configured), &mut Memory::default(), &mut fields);

@@ -1,8 +1,8 @@
-//! Everything that comes from outside, fed with damaged and made-up bytes: nothing may panic, hang or grow without bound.
+//! Every reader of outside data, with damaged and random bytes: nothing may panic, hang or grow without limit.
 //!
-//! Runs on the stable compiler, in this process. Each target gets a fixed number of inputs, so every run covers the same on
-//! every machine; `STICTIOND_FUZZ_TIMES=1000 cargo test --test library fuzz -- --nocapture` gives it a thousand times as many. A
-//! failure names the seed of its input, and `STICTIOND_FUZZ_SEED=N` runs that one alone.
+//! Runs on the stable compiler, in this process. Each target gets a fixed number of inputs, so that every run covers the same
+//! on every machine; `STICTIOND_FUZZ_TIMES=1000 cargo test --test library fuzz -- --nocapture` gives it a thousand times as
+//! many. A failure names the seed of its input, and `STICTIOND_FUZZ_SEED=N` runs that one alone.
 
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -21,11 +21,11 @@ use stiction_files::load_samples;
 #[allow(dead_code)]
 mod data;
 
-/// Names of the variables: how many times as many inputs, and the one seed to run.
+/// Names of the environment variables: factor for the number of inputs, and the one seed to run.
 const TIMES: &str = "STICTIOND_FUZZ_TIMES";
 const SEED: &str = "STICTIOND_FUZZ_SEED";
 
-/// What mutations put in.
+/// Fragments that mutations insert.
 const WORDS: [&[u8]; 34] = [
     b";",
     b"\t",
@@ -63,7 +63,7 @@ const WORDS: [&[u8]; 34] = [
     b"MATLAB 5.0",
 ];
 
-/// A made-up or damaged input.
+/// A random or damaged input.
 fn mutated(random: &mut ChaCha8Rng, corpus: &[Vec<u8>]) -> Vec<u8> {
     let mut below = |n: usize| (random.next_u32() as usize) % n.max(1);
     let mut bytes = corpus[below(corpus.len())].clone();
@@ -98,7 +98,7 @@ fn mutated(random: &mut ChaCha8Rng, corpus: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// Feeds one target with so many inputs, or so many times as many as [`TIMES`] says.
+/// Runs one target on `count` inputs, or on the multiple given by [`TIMES`].
 fn fuzz(name: &str, count: u64, corpus: &[Vec<u8>], target: impl Fn(&[u8])) {
     let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
     let seeds = number(SEED).map_or(0..count * number(TIMES).unwrap_or(1), |seed| seed..seed + 1);
@@ -135,8 +135,8 @@ fn payloads() {
     });
 }
 
-/// Every format of the list, with the example of the page and others: named values within bounds, and the same payload under a
-/// key of one signal.
+/// Every format, with the example on the page and others: named values within bounds, and the same payload on the key of one
+/// signal.
 #[test]
 fn payloads_of_every_format() {
     let page = crate::formats::page();
@@ -194,8 +194,7 @@ fn recordings_tables_and_stores() {
     fuzz("stores", 1000, &[fs::read(&store).unwrap()], read);
 }
 
-/// Exports of other systems, as text, workbook, Parquet and Arrow: whatever is read lies in the years that are believed.
-/// Messages of columns, as a file with right checksums may hold them.
+/// Messages of columns, as a file with correct checksums may contain them.
 #[test]
 fn messages_of_columns() {
     let mut columns = Columns::default();
@@ -228,7 +227,7 @@ fn exports() {
             fs::write(&path, bytes).unwrap();
             if let Ok(loaded) = load(&path, options) {
                 let samples = loaded.loops.iter().flat_map(|one| &one.samples);
-                // Seconds may count from any start where their heading says that they are seconds.
+                // Seconds may count from any start if their heading says that they are seconds.
                 let counted = loaded.recognised.is_none_or(|found| found.form.contains("since 1970"));
                 assert!(counted || samples.clone().all(|s| (from..to).contains(&s.t_ns)));
             }
@@ -306,7 +305,7 @@ fn keys_and_commands() {
     });
 }
 
-/// Files of a person: scenarios, models, lists of labels, and the options that say how a file is to be read.
+/// A user's files: scenarios, models, lists of labels, and the options for reading files.
 #[test]
 fn scenarios_models_labels_and_options() {
     let scenarios =
@@ -347,7 +346,7 @@ fn scenarios_models_labels_and_options() {
     });
 }
 
-/// Documents that come back over the bus, of any version.
+/// Documents that come back over the bus, from any version.
 #[test]
 fn documents_from_the_bus() {
     let estimate = r#"{"schema":"stictiond.estimate.v1","loop":"A","window":{"start_ns":0,"end_ns":9},"verdict":"stiction","gates":["too_coarse"],"s":1.5,"fs_interval":[1,2],"indicators":[{"name":"x","contribution":1.5}]}"#;

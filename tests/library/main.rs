@@ -1,6 +1,6 @@
-//! The library, seen from outside: what it promises, held on simulated and recorded loops.
+//! The library's public behaviour, on simulated and recorded loops.
 //!
-//! One binary, so that what all tests share is compiled and linked once.
+//! One binary, so that shared code is compiled and linked once.
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

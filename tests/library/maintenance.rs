@@ -1,4 +1,4 @@
-//! The maintenance list: its order, its sentences, and whether work on a valve helped.
+//! The maintenance list: its order, its texts, and whether work on a valve helped.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -54,7 +54,7 @@ fn each_part_of_the_cost_moves_a_loop_in_the_list_and_ties_go_by_name() {
     for cheaper in [candidate("L", Some(1)), rising("falling"), with(plain("L"), |a| a.grade = Some('C'))] {
         assert!(cost(cheaper.clone()) < base, "{cheaper:?}");
     }
-    // The default criticality counts where none is configured.
+    // Without a configured criticality the default counts.
     assert_eq!(cost(candidate("L", None)).to_bits(), base.to_bits());
 
     let benefits = BTreeMap::from([
@@ -140,6 +140,6 @@ fn work_on_a_valve_helped_only_where_both_sides_show_it() {
     assert_eq!(helped(&[], &windows(4, None, 0.5), Done::Found), Helped::Unknown);
     assert_eq!(helped(&windows(5, None, 1.0), &windows(4, None, 0.5), Done::Found), Helped::Unknown);
     assert_eq!(helped(&before, &windows(4, None, 0.5), Done::Nothing), Helped::Unknown);
-    // Windows without an answer count on no side.
+    // Windows without an answer count on neither side.
     assert_eq!(helped(&before, &[Measured::default(); 9], Done::Found), Helped::Unknown);
 }

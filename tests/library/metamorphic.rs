@@ -1,5 +1,5 @@
-//! What must not matter does not: another sign or unit of PV, another day, rows that an export brings twice and in disorder.
-//! The verdict, the size of the sticking band (within 1 %) and the grade stay.
+//! Irrelevant changes have no effect: another sign or unit of PV, another date, rows that an export repeats and shuffles. The
+//! verdict, the size of the sticking band (within 1 %) and the grade remain the same.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -17,7 +17,7 @@ use stiction_files::load_samples;
 const NEAR: f64 = 0.01;
 const DAY_S: f64 = 86_400.0;
 
-/// A loop by its valve, process and controller.
+/// A simulated loop from its valve, process and controller.
 fn simulated(valve: &str, process: &str, controller: &str, seed: u64) -> Record {
     let text = format!(
         "[site]\nprefix = \"p\"\n[run]\nstart = \"2026-01-05T08:00:00Z\"\nduration_s = 700.0\nts_s = 1.0\nseed = {seed}\n\
@@ -45,7 +45,7 @@ fn loops() -> [Record; 6] {
     ]
 }
 
-/// A record in other units of PV, or with PV upside down.
+/// A record with PV in other units or with the opposite sign.
 fn with_pv(record: &Record, change: impl Fn(f64) -> f64) -> Record {
     let all = |values: &[f64]| values.iter().map(|v| change(*v)).collect::<Vec<f64>>();
     Record { pv: all(&record.pv), sp: record.sp.as_deref().map(all), ..record.clone() }
@@ -60,7 +60,7 @@ fn judged(record: &Record) -> Assessment {
     assess(record, &AssessParams::default())
 }
 
-/// In what the answers differ.
+/// The differences between two answers.
 fn differences(name: &str, base: &Assessment, other: &Assessment) -> Option<String> {
     let near = match (base.s, other.s) {
         (Some(a), Some(b)) => (a - b).abs() <= NEAR * a.abs(),
@@ -71,7 +71,7 @@ fn differences(name: &str, base: &Assessment, other: &Assessment) -> Option<Stri
     (!same).then(|| format!("{name}: {} instead of {}", told(other), told(base)))
 }
 
-/// An export of the record, with rows as given, read and joined.
+/// An export of the record with these rows, read and joined.
 fn exported(record: &Record, rows: &[usize]) -> Record {
     let mut text = "Time,L.OP,L.PV\n".to_owned();
     for k in rows {
@@ -84,9 +84,9 @@ fn exported(record: &Record, rows: &[usize]) -> Record {
     Points::of("L", &loaded.loops[0].samples, &Config::with_prefix("p")).judgeable().unwrap().0.record
 }
 
-/// Rows twice, in an order of no meaning.
+/// Every row twice, in an arbitrary order.
 fn doubled_and_shuffled(n: usize) -> Vec<usize> {
-    // A prime that does not divide n passes every row.
+    // A prime that does not divide n visits every row.
     let step = if n.is_multiple_of(251) { 257 } else { 251 };
     (0..2 * n).map(|k| k * step % n).collect()
 }
@@ -111,8 +111,7 @@ fn simulated_loops_have_one_answer_whatever_the_sign_and_unit_of_pv_and_the_day(
     assert!(found >= 4, "of six sticking valves {found} are found: nothing to compare");
 }
 
-/// A cycle of 61 s that was sampled every second is judged; one that was sampled every 10 s is too coarse, however many rows the
-/// export has.
+/// A cycle of 61 s sampled every second is judged; sampled every 10 s it is too coarse, however many rows the export has.
 #[test]
 fn rows_that_repeat_a_value_are_no_samples() {
     let wave = |k: usize, phase: f64| 3.0 * (std::f64::consts::TAU * (k as f64 / 61.3 + phase)).sin();

@@ -1,4 +1,5 @@
-//! What keeps loops from being judged: every fault that is put into the signals of a simulated plant is found, and nothing else.
+//! Obstacles that keep loops from being judged: every fault put into the signals of a simulated plant is found, and nothing
+//! else.
 
 mod recorded;
 mod summary;
@@ -16,7 +17,7 @@ use stiction_engine::engine::{Engine, Event, PlantWatch};
 use stictiond::runtime::overview::{ObstacleKind, Overview};
 
 const SCENARIO: &str = include_str!("../../recordings/scenarios/sticking.toml");
-/// Time of the plant up to which every loop sends, and after which nothing is simulated, s: the window to 800 s is complete.
+/// Plant time up to which every loop sends, and the end of the simulation, s: the window to 800 s is complete.
 const ALL_SEND_S: f64 = 850.0;
 const END_S: f64 = 900.0;
 
@@ -31,10 +32,10 @@ use Fault::Of;
 use ObstacleKind::{AtLimit, Compressed, Frozen, Manual, Misplaced, Silent, Swapped, TooSlow, WrongSign};
 
 const FAULTS: [ObstacleKind; 9] = [Silent, Frozen, Swapped, Misplaced, WrongSign, AtLimit, Manual, TooSlow, Compressed];
-/// Loops with each fault, and those that never send; the others of a hundred are healthy.
+/// Loops with each fault, and as many that never send; the rest of a hundred are healthy.
 const OF_EACH: usize = 3;
 const LOOPS: usize = 100;
-/// The samples of a simulated loop: no two have the same noise.
+/// The samples of a simulated loop; no two loops have the same noise.
 fn simulated(seed: usize, sticks: bool) -> Vec<Sample> {
     let mut text = SCENARIO.replace("seed = 1", &format!("seed = {seed}"));
     text = text.replace("duration_s = 2000.0", &format!("duration_s = {END_S:?}"));
@@ -42,7 +43,7 @@ fn simulated(seed: usize, sticks: bool) -> Vec<Sample> {
         text = text
             .replace("fs = 5.0, fd = 3.0", "fs = 0.0, fd = 0.0")
             .replace("kc = 0.8, ti_s = 8.0", "kc = 0.2, ti_s = 20.0");
-        // Without a grid the loop is calm enough to be judged without a fit.
+        // Without quantization the loop is calm enough to be judged without a fit.
         text = text
             .replace("op_resolution = 0.01", "op_resolution = 0.0001")
             .replace("pv_quantum = 0.01", "pv_quantum = 0.0001");
@@ -69,7 +70,8 @@ fn with_fault(samples: &[Sample], fault: Fault) -> Vec<(f64, Sample)> {
             (Of(TooSlow), ..) if at_s % 10.0 != 0.0 => return None,
             (Of(Frozen), Signal::Pv, Value::Number(pv)) => *pv = 60.0,
             (Of(Compressed), Signal::Pv, Value::Number(pv)) => {
-                // At no regular distance, as deviations send values: held over four rows PV would be sampled too slowly.
+                // Held for irregular times, as with compression by deviation: held over four rows each, PV would be sampled too
+                // slowly.
                 held = if (7.0 * at_s) % 11.0 < 4.0 { *pv } else { held };
                 *pv = held;
             }
@@ -85,7 +87,7 @@ fn with_fault(samples: &[Sample], fault: Fault) -> Vec<(f64, Sample)> {
     samples.iter().filter_map(change).collect()
 }
 
-/// The loop whose PV comes under the name of this one: two have exchanged theirs, one has that of a healthy loop.
+/// The loop whose PV comes under this loop's name: two have exchanged theirs, one has that of a healthy loop.
 fn pv_of(name: &str) -> Option<&'static str> {
     match name {
         "Misplaced-0" => Some("Misplaced-1"),
@@ -95,7 +97,7 @@ fn pv_of(name: &str) -> Option<&'static str> {
     }
 }
 
-/// A loop's samples with PV of another one.
+/// A loop's samples with the PV of another loop.
 fn with_pv_of(mut samples: Vec<Sample>, other: &[Sample]) -> Vec<Sample> {
     samples.retain(|sample| sample.signal != Signal::Pv);
     samples.extend(other.iter().filter(|sample| sample.signal == Signal::Pv));
@@ -103,7 +105,7 @@ fn with_pv_of(mut samples: Vec<Sample>, other: &[Sample]) -> Vec<Sample> {
     samples
 }
 
-/// Feeds a loop's samples of a stretch of time, in seconds, and shows what the engine makes of them.
+/// Feeds a loop's samples over a range of seconds, and shows the engine's results.
 fn feed(
     engine: &mut Engine,
     watch: &mut PlantWatch,
@@ -147,7 +149,7 @@ fn every_fault_of_a_simulated_plant_is_found_and_nothing_else() {
     let (plant, mut watch) = (plant(), PlantWatch::default());
     let seed_of = |name: &str| 1 + plant.iter().position(|(other, _)| other == name).unwrap();
     for (at, (name, fault)) in plant.iter().enumerate() {
-        // Most loops of a plant are calm. These faults show where a valve sticks, and a fit of that takes its time.
+        // Most loops of a plant are calm. These faults show only with a sticking valve, whose fits take time.
         let sticks = matches!(fault, Of(Swapped | Misplaced | WrongSign | AtLimit | TooSlow | Compressed))
             || name == "Healthy-0";
         let mut samples = simulated(at + 1, sticks);
@@ -171,9 +173,9 @@ fn every_fault_of_a_simulated_plant_is_found_and_nothing_else() {
     let wanted: BTreeSet<(&str, String)> =
         put_in.chain(never.iter().map(|name| (name.as_str(), "Silent".to_owned()))).collect();
     assert_eq!(seen, wanted);
-    // Never-sending loops count, and compressed ones and those with a wrong sign are judged.
+    // Loops that never send count too, and compressed ones and those with a wrong sign are judged.
     let blocked = (FAULTS.len() + 1 - 2) * OF_EACH;
-    // Reversals of the stem can be enough where the samples of a period are not.
+    // Reversals of the stem can suffice where there are too few samples in a period.
     let judged_all_the_same = found.obstacles.iter().filter(|o| o.kind == TooSlow && !o.blocks).count();
     assert_eq!((found.loops, found.judged), (LOOPS, LOOPS - blocked + judged_all_the_same));
     assert!(found.obstacles.iter().all(|o| o.since_ms.is_some() && !o.words.is_empty()), "{found:#?}");

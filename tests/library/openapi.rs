@@ -1,4 +1,4 @@
-//! The descriptions of both APIs name every operation, and refer only to what they hold.
+//! The descriptions of both APIs list every operation, and have no dangling references.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

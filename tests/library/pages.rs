@@ -1,5 +1,5 @@
-//! The pages: README.md, CONTRIBUTING.md and docs. Their links lead somewhere, their tables list what there is, and the
-//! README stays a page that is read to its end. `tests/program/pages.rs` holds the command lines.
+//! The pages: README.md, CONTRIBUTING.md and docs. Their links are valid, their tables complete, and the README remains short
+//! enough to be read to its end. `tests/program/pages.rs` tests the command lines.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -42,7 +42,7 @@ pub fn all() -> Vec<(String, String)> {
     names.into_iter().map(|name| (name.clone(), read(&name))).collect()
 }
 
-/// The lines outside of fenced blocks, with their numbers.
+/// The lines outside fenced blocks, with their numbers.
 fn prose(text: &str) -> Vec<(usize, &str)> {
     let mut fenced = false;
     let mut out = Vec::new();
@@ -56,7 +56,7 @@ fn prose(text: &str) -> Vec<(usize, &str)> {
     out
 }
 
-/// The lines of all fenced blocks of a language below a heading.
+/// The lines of all fenced blocks in a language below a heading.
 fn fenced<'t>(text: &'t str, heading: &str, language: &str) -> Vec<&'t str> {
     let (open, mut inside, mut out) = (format!("```{language}"), false, Vec::new());
     let below = text.lines().skip_while(|l| *l != heading).skip(1);
@@ -70,13 +70,13 @@ fn fenced<'t>(text: &'t str, heading: &str, language: &str) -> Vec<&'t str> {
     out
 }
 
-/// A heading's anchor, as GitHub makes it: lower case, blanks as hyphens, nothing but letters, digits, `-` and `_`.
+/// A heading's anchor by GitHub's rules: lower case, spaces as hyphens, only letters, digits, `-` and `_`.
 fn anchor(heading: &str) -> String {
     let kept = heading.chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c));
     kept.map(|c| if c == ' ' { '-' } else { c }).collect::<String>().to_lowercase()
 }
 
-/// The anchors of a page; a heading that comes again gets a number.
+/// The anchors of a page; a repeated heading gets a number.
 fn anchors(text: &str) -> Vec<String> {
     let mut seen = BTreeMap::new();
     let headings = prose(text).into_iter().filter(|(_, l)| l.starts_with('#')).map(|(_, l)| l.trim_start_matches('#'));
@@ -90,7 +90,7 @@ fn anchors(text: &str) -> Vec<String> {
         .collect()
 }
 
-/// Targets of a line's links, code in backticks left out.
+/// Targets of a line's links, without code in backticks.
 fn links(line: &str) -> Vec<&str> {
     let prose = line.split('`').enumerate().filter(|(at, _)| at % 2 == 0).map(|(_, part)| part);
     let targets = |part: &'_ str| part.match_indices("](").map(|(at, _)| at + 2).collect::<Vec<_>>();
@@ -130,7 +130,7 @@ fn links_and_headings_are_read_as_they_are_shown() {
 
 #[test]
 fn the_readme_is_read_to_its_end() {
-    // Programs that try this repository look for these two.
+    // Programs that try out this repository look for these two.
     let page = read("README.md");
     let two = fenced(&page, "## Two commands", "sh");
     assert_eq!(two, ["cargo run -- demo", "bash tests/run.sh"]);
@@ -180,7 +180,7 @@ fn every_command_is_listed() {
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_stictiond")).arg("--help").output().unwrap();
     let help = String::from_utf8(output.stdout).unwrap();
     let rows = help.lines().skip_while(|l| *l != "Commands:").skip(1).take_while(|l| !l.is_empty());
-    // A command stands two columns in, the rest of a long description further.
+    // A command is indented by two spaces, the rest of a long description by more.
     let commands: Vec<String> = rows
         .filter(|l| l.starts_with("  ") && !l.starts_with("   "))
         .map(|l| l.split_whitespace().next().unwrap().to_owned())

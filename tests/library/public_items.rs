@@ -1,5 +1,6 @@
-//! `crates/stiction/public-items.txt` lists the public items of the library (fields, variants and methods of traits aside),
-//! so that a review shows what a change adds or takes away. What it takes from its module `core`, which is no public interface, is looked up there.
+//! `crates/stiction/public-items.txt` lists the public items of the library (fields, variants and methods of traits aside), so
+//! that a review shows what a change adds or takes away. Items re-exported from its module `core`, which is not a public
+//! interface, are looked up there.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -12,7 +13,7 @@ use syn::{ImplItem, Item, UseTree, Visibility};
 /// Names from the library's root, outermost first.
 type Names = Vec<String>;
 
-/// An item by another name: its target, and whether other modules see it.
+/// A re-export: its target, and whether other modules see it.
 struct Alias {
     target: Names,
     is_public: bool,
@@ -23,10 +24,10 @@ struct Module {
     is_public: bool,
     /// Public items with their kinds, by name.
     items: BTreeMap<String, &'static str>,
-    /// `use` of single items, by the name given here, and of everything in a module.
+    /// `use` of single items, by their local name, and of everything in a module.
     aliases: BTreeMap<String, Alias>,
     globs: Vec<Alias>,
-    /// Public methods and constants by the name of their type, as it is known here.
+    /// Public methods and constants by the local name of their type.
     members: Vec<(String, String)>,
 }
 
@@ -39,7 +40,7 @@ fn is_public(visibility: &Visibility) -> bool {
     matches!(visibility, Visibility::Public(_))
 }
 
-/// Whether a module is left out of the documentation: it is no public interface.
+/// Whether a module is hidden from the documentation, as it is not a public interface.
 fn is_hidden(item: &[syn::Attribute]) -> bool {
     item.iter().any(|attribute| {
         attribute.path().is_ident("doc")
@@ -56,7 +57,7 @@ fn is_test(item: &[syn::Attribute]) -> bool {
 }
 
 impl Library {
-    /// The crate whose root is a file.
+    /// Reads the crate with this root file.
     fn read(root: &Path) -> Self {
         let mut library = Self::default();
         library.add_file(root, root.parent().unwrap(), Names::new(), true);
@@ -69,7 +70,7 @@ impl Library {
         self.add(file.items, folder, names, is_public);
     }
 
-    /// A module's items; files of its own modules are in `folder`.
+    /// Adds a module's items; its file modules are in `folder`.
     fn add(&mut self, items: Vec<Item>, folder: &Path, names: Names, is_public_module: bool) {
         let mut module = Module { is_public: is_public_module, ..Module::default() };
         for item in items {
@@ -109,7 +110,7 @@ impl Library {
         self.modules.insert(names, module);
     }
 
-    /// Where an item is declared that a module knows by a name.
+    /// Where an item that a module knows by a name is declared.
     fn declared(&self, module: &[String], name: &str) -> Option<(Names, &'static str)> {
         let there = self.modules.get(module)?;
         if let Some(kind) = there.items.get(name) {
@@ -122,7 +123,7 @@ impl Library {
         there.globs.iter().find_map(|glob| self.declared(&glob.target, name))
     }
 
-    /// Public methods and constants by the place where their type is declared.
+    /// Public methods and constants by the declaration of their type.
     fn members(&self) -> BTreeMap<Names, BTreeSet<&str>> {
         let mut out: BTreeMap<Names, BTreeSet<&str>> = BTreeMap::new();
         for (names, module) in &self.modules {
@@ -135,7 +136,7 @@ impl Library {
         out
     }
 
-    /// Every name by which a public module's item is known outside.
+    /// Every name by which a public module's items are known outside.
     fn names_in(&self, module: &[String]) -> BTreeSet<String> {
         let there = &self.modules[module];
         let by_alias = there.aliases.iter().filter(|(_, alias)| alias.is_public).map(|(name, _)| name.clone());
@@ -146,7 +147,7 @@ impl Library {
         all
     }
 
-    /// Every item that another crate can reach, a line each.
+    /// Every item that another crate can reach, one a line.
     fn public_items(&self) -> BTreeSet<String> {
         let members = self.members();
         let is_reached = |names: &Names| {
@@ -211,7 +212,7 @@ impl Module {
     }
 }
 
-/// A path as a module writes it, from the root.
+/// A path written in a module, from the root.
 fn from_root(module: &[String], path: Names) -> Names {
     let mut from = module.to_vec();
     let mut rest = &path[..];

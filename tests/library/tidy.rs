@@ -1,5 +1,5 @@
-//! What must be absent, and what must agree. The compiler holds which crate uses which; clippy, that the pure ones have no
-//! files, clocks, threads or chance (`crates/pure.clippy.toml`).
+//! What must be absent, and what must agree. The compiler checks which crate uses which; clippy checks that the pure crates use
+//! no files, clocks, threads or randomness (`crates/pure.clippy.toml`).
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -23,7 +23,7 @@ const MAX_LINES: usize = 600;
 struct Source {
     /// One of [`CRATES`].
     home: &'static str,
-    /// Path below it, with `/`.
+    /// Path below it, separated by `/`.
     path: String,
     text: String,
 }
@@ -55,7 +55,7 @@ fn files_below(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Every source file of a crate but those that are tests as a whole.
+/// Every source file of a crate, except those that consist of tests.
 fn sources_of(home: &'static str) -> Vec<Source> {
     let src = root().join(home);
     let mut paths = Vec::new();
@@ -73,7 +73,7 @@ fn fail_on(faults: &[String]) {
     assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
 }
 
-/// The challenge judges `gap` from outside: an own model of the valve and the process, and no look at the diagnosis.
+/// The challenge judges `gap` from outside: it has a separate model of valve and process, and does not use the diagnosis.
 #[test]
 fn the_challenge_does_not_see_the_diagnosis() {
     let challenge: Vec<Source> =
@@ -148,7 +148,7 @@ fn nothing_is_left_open_and_no_machine_is_named() {
     fail_on(&faults);
 }
 
-/// What is known of an effect stands in its file: no other file of the gap names one.
+/// Everything specific to an effect is in its file: no other file of the gap names one.
 #[test]
 fn no_effect_is_named_outside_its_own_file() {
     let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/stiction/src/core/gap")];
@@ -170,7 +170,7 @@ fn no_effect_is_named_outside_its_own_file() {
             let code: String = code.lines().filter(|l| !l.trim_start().starts_with("//")).collect();
             seen += 1;
             for effect in stiction::core::gap::effects::ALL {
-                // A process' own flag in a model file has the name of the effect.
+                // A model file's flag for a process has the same name as an effect.
                 let flag = name == "model_file" && code.contains(&format!("flag(\"{}\")", effect.id));
                 assert!(flag || !code.contains(&format!("\"{}\"", effect.id)), "{} in {}", effect.id, path.display());
             }

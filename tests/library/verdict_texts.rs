@@ -1,4 +1,4 @@
-//! The page and the documentation have the texts of verdicts from the library's one list.
+//! The page and the documentation take the texts of verdicts from the library's single list.
 
 use std::fs;
 

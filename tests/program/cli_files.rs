@@ -1,4 +1,4 @@
-//! `convert` and `info` at the process boundary: exit codes, stdout, stderr, files.
+//! `convert` and `info` run as programs: exit codes, stdout, stderr, files.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -41,7 +41,7 @@ const TABLE: &str = "t,op,pv,sp,mv,mode\n\
     1700000001,1,2,,,manual\n\
     1700000000.5,,0.000000000000000000001,,3,7\n";
 
-/// A recording of two loops with an estimate, as the daemon writes them.
+/// A recording of two loops with an estimate, as written by the daemon.
 fn recording(dir: &Path, scans: i64) -> PathBuf {
     let metadata = BTreeMap::from([("prefix", "p"), ("run_id", "run-7"), ("config", "[site]\nprefix = \"p\"\n")])
         .into_iter()
@@ -212,7 +212,7 @@ fn what_cannot_be_done_says_so() {
     }
 }
 
-/// A triangle against a square (a sticking valve's picture), or one sine against another.
+/// A triangle with a square (the picture of a sticking valve), or two sines.
 fn wave(sticking: bool) -> String {
     let row = |k: i32| {
         let t = f64::from(k) / 60.0;
@@ -238,7 +238,7 @@ fn a_folder_lists_a_record_on_its_own_clock_and_refuses_a_short_one() {
     assert_eq!(said.matches("short.csv: 2 usable samples at most").count(), 1, "{said}");
 }
 
-/// Real tables keep every value on their way through a recording. They stand beside the working copy, if at all.
+/// Real tables keep every value through a recording. They are in a folder next to the working copy, if at all.
 #[test]
 fn real_tables_survive() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
@@ -265,7 +265,7 @@ fn real_tables_survive() {
     assert!(count > 0, "{} holds no table", data.display());
 }
 
-/// A table of a slow wave, its times in seconds at each row by `time`.
+/// A table of a slow wave, with the time of each row in seconds from `time`.
 fn slow_wave(time: impl Fn(usize) -> usize) -> String {
     let row = |k: usize| {
         let phase = k as f64 / 20.0;

@@ -1,4 +1,4 @@
-//! `gap` at the process boundary: its document, the arithmetic that anyone can repeat, its outputs and its refusals.
+//! `gap` run as a program: its document, arithmetic that anyone can repeat, its outputs and its refusals.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -44,7 +44,7 @@ fn path(name: &str) -> String {
     folder().join(name).to_str().unwrap().to_owned()
 }
 
-/// A sticking loop with set-point moves as a table; a second time constant is a lag that the base leaves out.
+/// A sticking loop with set-point moves as a table; a second time constant is a lag that the base lacks.
 fn table(name: &str, taus: &[f64], n: usize) -> String {
     let plant = Loop {
         fs: 3.0,
@@ -64,7 +64,7 @@ fn table(name: &str, taus: &[f64], n: usize) -> String {
     let record = plant.run().record;
     let mut text = "t,op,pv,sp\n".to_owned();
     for (k, (op, pv)) in record.op_path.iter().zip(&record.pv).enumerate() {
-        // The warm-up goes before the set point's first move here.
+        // Here the warm-up precedes the first set-point move.
         let sp = 200.0 + (plant.sp)(k + 200);
         text.push_str(&format!("{},{op},{pv},{sp}\n", 1_700_000_000 + k));
     }
@@ -73,7 +73,7 @@ fn table(name: &str, taus: &[f64], n: usize) -> String {
     path
 }
 
-/// A loop with a lag of 8 s behind its valve, diagnosed once for all tests: document, predictions, report.
+/// A loop with a lag of 8 s after its valve, diagnosed once for all tests: document, predictions, report.
 fn lagging() -> &'static (Value, String, String) {
     static DONE: OnceLock<(Value, String, String)> = OnceLock::new();
     DONE.get_or_init(|| {
@@ -201,7 +201,7 @@ fn the_model_after_is_a_base_for_later_and_closes_the_structural_gap() {
     let d: Value = serde_json::from_str(&stdout(&out)).unwrap();
     assert_eq!(d["base"]["source"], "given");
     let (given, refitted) = (number(&d["given"]["gap"]), number(&d["gap"]["gap"]));
-    // With the lag in it, the given model is better than the base without it, refitted.
+    // The given model, which includes the lag, is better than the refitted base without it.
     assert!(given < 0.6 * refitted, "given {given}, refitted {refitted}");
     assert!((number(&d["parametric"]) - (given - refitted)).abs() < 1e-12);
 }
@@ -268,7 +268,7 @@ fn an_interrupted_search_tells_what_it_knows() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // Once it has worked for a while, its search is under way.
+    // After some CPU time, its search is under way.
     let stat = format!("/proc/{}/stat", child.id());
     let ticks = || std::fs::read_to_string(&stat).unwrap().split(' ').nth(13).unwrap().parse::<u64>().unwrap();
     crate::live::wait_for("the search", || (ticks() > 30).then_some(()));
@@ -281,7 +281,7 @@ fn an_interrupted_search_tells_what_it_knows() {
 
 #[test]
 fn a_base_that_is_worse_than_the_mean_of_pv_is_said_and_decides_no_other_window() {
-    // PV wanders by itself.
+    // PV wanders independently of OP.
     let (mut drawn, mut pv) = (1_u64, 100.0);
     let mut lines = String::from("time,op,pv\n");
     for k in 0..900 {
@@ -320,7 +320,7 @@ fn windows_of_one_valve_are_diagnosed_together_and_what_does_not_fit_is_refused_
     let shown: Vec<&Value> = d["pooled"].as_array().unwrap().iter().filter(|w| w["shown"] == true).collect();
     assert_eq!(shown.len(), 1, "{}", d["pooled"]);
     assert_eq!(d["window"]["start_ns"], shown[0]["start_ns"]);
-    // Two short searches of the same samples may end differently, so the samples are compared.
+    // Two short searches on the same samples may end differently, so the samples are compared.
     let again = path("again.csv");
     fs::copy(&input, &again).unwrap();
     let twice = expect(1, &["gap", &input, &again, "--pool", "--budget", "0.2"]);

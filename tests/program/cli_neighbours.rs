@@ -1,5 +1,5 @@
-//! `gap --neighbours` at the process boundary: the loop that acts tells most, unrelated loops change nothing, and what cannot be
-//! offered is refused by its name.
+//! `gap --neighbours` run as a program: the acting loop explains most, unrelated loops change nothing, and a loop that cannot
+//! be offered is refused by name.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -11,7 +11,7 @@ use std::process::{Command, Output};
 use stiction::core::record::Record;
 use stiction_lab::plants::{Relation, disturbed, unrelated_loops};
 
-/// A case whose driver shows clearly.
+/// A case with a clear driver.
 const SEED: u64 = 1;
 const NUMBER: u64 = 2;
 
@@ -52,7 +52,7 @@ fn the_neighbour_that_acts_tells_most_among_unrelated_loops_which_change_nothing
     assert_eq!(withheld["neighbours"]["offered"], 3);
     assert!(alone.get("neighbours").is_none());
     assert_eq!(withheld["cause"]["id"], alone["cause"]["id"], "{}", withheld["neighbours"]);
-    // Where none is rare enough to be fitted, every other figure stays as it was.
+    // If no loop is unlikely enough by chance to be fitted, all other figures are unchanged.
     if withheld["neighbours"]["fitted"] == serde_json::json!([]) {
         let mut rest = withheld.clone();
         rest.as_object_mut().unwrap().remove("neighbours");
@@ -64,7 +64,7 @@ fn the_neighbour_that_acts_tells_most_among_unrelated_loops_which_change_nothing
     let compared = &revealed["neighbours"];
     assert_eq!(compared["offered"], 4, "{compared}");
     assert_eq!(compared["best"], "DRIVER", "{compared}");
-    // What is fitted stands among the effects with its sizes.
+    // Fitted loops are listed among the effects with their sizes.
     for name in compared["fitted"].as_array().unwrap() {
         let id = format!("neighbour({})", name.as_str().unwrap());
         let effect = revealed["effects"].as_array().unwrap().iter().find(|e| e["id"] == id).unwrap();
@@ -72,7 +72,7 @@ fn the_neighbour_that_acts_tells_most_among_unrelated_loops_which_change_nothing
             assert!(effect["parameters"][size]["value"].is_number(), "{size}: {effect}");
         }
     }
-    // Withheld by its effect, it is not said: one diagnosis more, for the long run.
+    // If its effect is withheld, it is not named: one more diagnosis, for the long run.
     if std::env::var_os("STICTIOND_LONG").is_none() {
         return;
     }

@@ -1,4 +1,4 @@
-//! `analyze --plant` at the process boundary, on a simulated plant of known truth.
+//! `analyze --plant` run as a program, on a simulated plant with known truth.
 
 use std::fmt::Write;
 use std::fs;
@@ -9,10 +9,10 @@ use serde_json::Value;
 use crate::common::program::{expect, stderr, stdout};
 use stiction_lab::plants::{CaseLoop, Difficulty, Role, plant};
 
-/// A seed of which the plant has a sticking source with followers, and loops that oscillate by themselves.
+/// A seed for a plant with a sticking source, followers, and loops that oscillate independently.
 const SEED: u64 = 1;
 
-/// Writes each loop of a plant as a table, and gives its truth.
+/// Writes each loop of a plant as a table; returns the truth.
 pub fn written(folder: &Path) -> Vec<CaseLoop> {
     let case = plant("program", SEED, Difficulty::Easy);
     for one in &case {
@@ -64,7 +64,7 @@ fn a_plant_gives_its_groups_and_each_follower_its_source() {
         }
     }
 
-    // A loop that shares nothing has the same answer as without --plant.
+    // A loop in no group has the same answer as without --plant.
     let file_of = |name: &Value| folder.path().join(format!("{}.csv", name.as_str().unwrap())).display().to_string();
     let mut other = estimates.into_iter().find(|estimate| estimate["group"].is_null()).unwrap();
     let [mut alone, none] = documents(&expect(0, &["analyze", &file_of(&other["loop"]), "--format", "json"]));
@@ -72,7 +72,7 @@ fn a_plant_gives_its_groups_and_each_follower_its_source() {
     (alone[0]["elapsed_ms"], other["elapsed_ms"]) = (Value::Null, Value::Null);
     assert_eq!(alone[0], other);
 
-    // In words, of the group alone.
+    // As text, for the group alone.
     let files: Vec<String> = members.iter().map(file_of).collect();
     let files = files.iter().map(String::as_str);
     let text = stdout(&expect(0, &["analyze", "--plant"].into_iter().chain(files).collect::<Vec<&str>>()));
@@ -97,7 +97,7 @@ fn sections_and_names_that_do_not_make_a_plant_are_refused() {
     assert!(stderr(&twice).contains("two loops are named FIC101"), "{}", stderr(&twice));
     let sections = expect(2, &["analyze", &a, "--plant", "--samples", "1,200", "--samples", "201,400"]);
     assert!(stderr(&sections).contains("one section of each loop"), "{}", stderr(&sections));
-    // A plant of one loop has no groups, and says so.
+    // A plant of one loop has no groups, and the text states this.
     let alone = stdout(&expect(0, &["analyze", &a, "--plant"]));
     assert!(alone.contains("no two share an oscillation"), "{alone}");
 }

@@ -1,4 +1,4 @@
-//! `analyze --report` at the process boundary: pages and sheets, what is refused, what stays on stdout.
+//! `analyze --report` run as a program: pages and sheets, refusals, and what remains on stdout.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -18,7 +18,7 @@ fn a_page_and_a_sheet_are_written_and_never_overwritten_unasked() {
 
     let output = analyze(&[&section[..], &["--op-range", "0,100", "--report", &page]].concat());
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    // stdout keeps to its documents.
+    // stdout contains only documents.
     let documents = String::from_utf8(output.stdout).unwrap();
     assert!(documents.lines().count() == 1 && documents.starts_with('{'), "{documents}");
     let html = fs::read_to_string(&page).unwrap();

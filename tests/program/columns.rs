@@ -1,4 +1,4 @@
-//! Recordings with raw samples in columns: every reader gives what it gives of the same recording as JSON.
+//! Recordings with raw samples in columns: every reader gives the same as for the same recording as JSON.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -15,7 +15,7 @@ use stiction_engine::codec::topic::{self, Kind};
 use stiction_files::archive::{Archive, Reach, Wanted};
 use stiction_files::{RecordingReader, load_samples};
 
-/// The shipped scenario of four loops, with results, in both forms: JSON and columns. Made once for all tests.
+/// The shipped scenario of four loops, with results, in both forms: JSON and columns. Recorded once for all tests.
 fn both(dir: &Path) -> [String; 2] {
     static MADE: OnceLock<[Vec<u8>; 2]> = OnceLock::new();
     let made = MADE.get_or_init(|| simulated(dir).map(|file| fs::read(file).unwrap()));
@@ -42,7 +42,7 @@ fn simulated(dir: &Path) -> [String; 2] {
 
 type Seen = (String, Option<Kind>, i64, Vec<u8>);
 
-/// Every message, one after the other, and how the file ended.
+/// Every message in order, and how the file ended.
 fn messages(path: &Path) -> (Vec<Seen>, String) {
     let mut reader = RecordingReader::open(path).unwrap();
     let mut seen = Vec::new();
@@ -129,7 +129,7 @@ fn cut_and_damaged_columns_give_what_is_whole_and_recover_keeps_them_columns() {
     assert_eq!(RecordingReader::open(&out).unwrap().metadata()["raw"], "columns");
 }
 
-/// The ten lines of docs/test-a-change.md, where Python has what they need.
+/// The ten lines in docs/test-a-change.md, if Python has the required packages.
 #[test]
 fn python_reads_columns_by_the_lines_of_the_page() {
     let page = fs::read_to_string("docs/test-a-change.md").unwrap();
@@ -178,7 +178,7 @@ fn parquet_by_loop_and_day_reads_back_equal() {
     assert!(parts.iter().all(|part| Path::new(part).is_file()));
     expect(0, &["convert", &name("data"), &name("back.csv")]);
     assert_eq!(fs::read_to_string(name("back.csv")).unwrap(), table);
-    // What is there stays unless forced, and other loops join.
+    // Existing files are kept unless forced, and other loops are added.
     expect(1, &["convert", &name("FIC101.csv"), &name("data"), "--partition", "loop,day"]);
     expect(0, &["convert", &name("FIC101.csv"), &name("data"), "--partition", "loop,day", "--force"]);
     expect(0, &["convert", &recorded, &name("fleet"), "--partition", "loop,day"]);

@@ -1,4 +1,4 @@
-//! The daemon at its process boundary: played data in, recordings out, restarts, and ends in order.
+//! The daemon run as a program: played data in, recordings out, restarts, and orderly ends.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
@@ -30,11 +30,11 @@ fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
         .iter()
         .map(|f| data.join(format!("{f}.csv")))
         .collect();
-    // Four recordings of the sticking valve that has the most.
+    // Four recordings of the sticking valve with the most recordings.
     let mut of_valve: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
     for row in csv::Reader::from_path(data.join("INDEX.csv")).unwrap().records().flatten() {
         if row[0].starts_with("plant/") && &row[6] == "stiction" {
-            // A name ends in the day and the time of the recording.
+            // A name ends in the date and time of the recording.
             let valve = row[0].rsplitn(3, '_').last().unwrap_or_default().to_owned();
             of_valve.entry(valve).or_default().push(data.join(&row[0]));
         }
@@ -56,7 +56,7 @@ fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
     let file = files(&recordings).pop().unwrap();
     let mut compared = 0;
     for (name, live) in documents(&file, Kind::Estimate) {
-        // Each loop's every fourth fitted window will do.
+        // Every fourth fitted window of each loop is enough.
         let end_ns = live["window"]["end_ns"].as_i64().unwrap();
         if live["s"].is_null() || (end_ns / 600_000_000_000) % 4 != 0 {
             continue;
@@ -75,7 +75,7 @@ fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
     ok(&["replay", recordings.to_str().unwrap(), "--verify"]);
 }
 
-/// Plays the sticking loop in pieces, so that files fill and rotate between them; the finished files.
+/// Plays the sticking loop in pieces, so that files fill and rotate between them; returns the finished files.
 fn rotated(dir: &Path, window: &str) -> Vec<PathBuf> {
     let settings = FAST.replace("[window]\n", &format!("[window]\n{window}"));
     let daemon = Daemon::start(dir, &settings.replace("[recording]\n", "[recording]\nmax_bytes = 15000\n"));
@@ -113,7 +113,8 @@ fn every_rotated_file_is_verified_by_itself_and_a_missing_one_is_named() {
 #[test]
 fn verification_reads_only_as_far_back_as_windows_reach() {
     let dir = tempfile::tempdir().unwrap();
-    // Windows of 310 s at most: a file 1,000 s into the run does not need the first one, and says the same without it.
+    // Windows of 310 s at most: a file that starts 1,000 s into the run does not need the first one, and gives the same without
+    // it.
     let files = rotated(dir.path(), "max_window_s = 310\n");
     assert!(files.len() >= 6, "{files:?}");
     let last = files.last().unwrap().to_str().unwrap();
@@ -140,7 +141,7 @@ fn alarms_survive_kill_9_and_broken_files_do_not_stop_the_start() {
     let part = files(&recordings).pop().unwrap();
     assert!(part.to_str().unwrap().ends_with(".mcap.part"));
     assert!(!documents(&part, Kind::Alarm).is_empty());
-    // What was flushed is verified as far as it goes, and said to be cut.
+    // The flushed part is verified as far as it goes, and reported as cut off.
     let out = stictiond(&["replay", part.to_str().unwrap(), "--verify"]);
     assert_eq!(out.status.code(), Some(3), "{}", String::from_utf8_lossy(&out.stderr));
 
@@ -154,7 +155,7 @@ fn alarms_survive_kill_9_and_broken_files_do_not_stop_the_start() {
     let new = files(&recordings).into_iter().rfind(|f| f.extension().unwrap() == "mcap").unwrap();
     let states = documents(&new, Kind::State);
     assert_eq!(states[0].1["alarm"]["state"], "unack", "the first state of the new run is the old alarm");
-    // Carried over: the same alarm is not raised a second time.
+    // Carried over: the same alarm is not raised again.
     assert!(documents(&new, Kind::Alarm).iter().all(|(_, d)| d["state"] != "unack"));
     ok(&["replay", new.to_str().unwrap(), "--verify"]);
 }
@@ -166,7 +167,7 @@ fn a_changed_recording_fails_verification_and_another_version_is_refused() {
     let path = recording.to_str().unwrap();
     ok(&["simulate", "recordings/scenarios/sticking.toml", "--out", path]);
     ok(&["replay", path, "--verify"]);
-    // The same messages with one digit of one estimate changed, and with another version.
+    // The same messages with one digit of an estimate changed, and with another version.
     let rewrite = |change: &dyn Fn(&str, &mut Vec<u8>), version: &str| {
         let mut reader = RecordingReader::open(&recording).unwrap();
         let mut metadata = reader.metadata().clone();
@@ -253,7 +254,7 @@ fn play_sends_once_something_subscribes() {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    // By then it is connected, unless the machine is slow.
+    // It is connected by then, unless the machine is slow.
     std::thread::sleep(Duration::from_secs(3));
     let received = Arc::new(AtomicU64::new(0));
     let counter = received.clone();

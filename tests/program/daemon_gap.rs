@@ -1,4 +1,4 @@
-//! Gap diagnoses in the daemon, seen from the bus and from its recordings.
+//! Gap diagnoses in the daemon, as seen from the bus and from its recordings.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
@@ -54,11 +54,11 @@ fn a_person_is_answered_and_every_file_replays_to_the_byte() {
     let answer = ask(&bus, &format!("{}?run;by=ann", plane("FIC101/gap"))).unwrap();
     assert_eq!((&answer["schema"], &answer["loop"]), (&"stictiond.gap.v1".into(), &"FIC101".into()));
     assert_eq!((&answer["reason"], &answer["by"]), (&"operator".into(), &"ann".into()));
-    // The loop had been graded: its accepted model is what the gap is split by.
+    // The loop was graded before, so the gap is split by its accepted model.
     assert_eq!(answer["base"]["source"], "given");
     assert!(answer["given"]["gap"].as_f64().unwrap() >= 0.0 && answer["parametric"].is_number(), "{answer}");
     assert_eq!(ask(&bus, &plane("FIC101/gap")).unwrap(), answer, "the last value");
-    // The answer to a query and a publication take different ways: neither waits for the other.
+    // A query's reply and a publication take separate paths, and neither waits for the other.
     wait_for("the publication", || (!heard.lock().unwrap().is_empty()).then_some(()));
     assert_eq!(*heard.lock().unwrap(), std::slice::from_ref(&answer), "published once");
     for refused in ["NOPE/gap?run", "*/gap?run", "FIC101/estimate?run"] {
@@ -72,10 +72,10 @@ fn a_person_is_answered_and_every_file_replays_to_the_byte() {
     let holding: Vec<_> = files.iter().filter(|f| !documents(f, Kind::Gap).is_empty()).collect();
     let [file] = holding[..] else { panic!("{holding:?}") };
     assert_eq!(documents(file, Kind::Gap), [("FIC101".to_owned(), answer)]);
-    // The file may end between question and answer.
+    // A new file may begin between request and reply.
     let inputs: Vec<_> = files.iter().flat_map(|f| documents(f, Kind::Input)).collect();
     assert!(inputs.iter().any(|(_, i)| i["kind"] == "gap_run" && i["by"] == "ann"), "{inputs:?}");
-    // By itself: what its windows and the accepted model need is read from the files before it.
+    // By itself: data that its windows and the accepted model need are read from the files before it.
     ok(&["replay", file.to_str().unwrap(), "--verify"]);
     let text = ok(&["replay", file.to_str().unwrap()]);
     assert!(text.contains(" gap ") && text.contains("(operator"), "{text}");
@@ -88,7 +88,7 @@ fn a_loop_that_departs_is_diagnosed_unasked_once_and_no_estimate_waits_for_it() 
     let daemon = Daemon::start(dir.path(), &format!("{window}{SMALL}"));
     let (header, mut rows) = rows(dir.path());
     let pv = header.split(',').position(|name| name == "pv").unwrap();
-    // From some time on something that no valve does.
+    // From some time on, add something that no valve does.
     for (k, row) in rows.iter_mut().enumerate().skip(1200) {
         let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
         let value: f64 = cells[pv].parse().unwrap();
@@ -96,7 +96,7 @@ fn a_loop_that_departs_is_diagnosed_unasked_once_and_no_estimate_waits_for_it() 
         *row = cells.join(",");
     }
     play(&daemon, dir.path(), &header, &rows);
-    // All of them: a window that is not done when the daemon stops is a skip.
+    // All of them, since a window that is not finished when the daemon stops is skipped.
     daemon.wait_for_estimates(14);
     wait_for("a diagnosis", || {
         files(&daemon.recordings).iter().any(|f| !documents(f, Kind::Gap).is_empty()).then_some(())
@@ -107,7 +107,7 @@ fn a_loop_that_departs_is_diagnosed_unasked_once_and_no_estimate_waits_for_it() 
     assert_eq!(gaps.len(), 1, "once a day");
     let reason = gaps[0].1["reason"].as_str().unwrap();
     assert!(["fit_fell", "gap_grew"].contains(&reason) && gaps[0].1["by"].is_null(), "{reason}");
-    // Every window has its estimate, none was skipped, and all stand in the order of their windows.
+    // Every window has its estimate, none was skipped, and all are in order of their windows.
     let ends: Vec<i64> = documents(&file, Kind::Estimate)
         .iter()
         .map(|(_, d)| {
@@ -144,7 +144,7 @@ fn a_diagnosis_under_way_at_the_end_is_a_recorded_skip() {
         assert_eq!((&last["kind"], &last["reason"]), (&"gap_skip".into(), &"shutdown".into()));
         assert!(asked.join().unwrap().unwrap_err().contains("stopped"));
     } else {
-        // The search was quicker than its end: it was cut there or came to a natural end.
+        // If the search finished before the daemon's end, it was cut there or came to a natural end.
         assert!(asked.join().unwrap().is_ok());
     }
     assert_eq!(stictiond(&["replay", file.to_str().unwrap(), "--verify"]).status.code(), Some(0));

@@ -1,4 +1,4 @@
-//! Groups in a running daemon: published, recorded, replayed to the byte, and gone when the oscillation is.
+//! Groups in a running daemon: published, recorded, replayed byte for byte, and withdrawn when the oscillation ends.
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! `stictiond test`: expectations kept beside a configuration.
+//! `stictiond test`: expectations in a file next to a configuration.
 
 use std::fs;
 
@@ -8,7 +8,7 @@ use crate::common::program::{expect, stderr, stdout};
 
 const CONFIG: &str = "config/demo.toml";
 
-/// Writes expectations beside nothing else, with inputs by their full paths; gives the file's path.
+/// Writes a file of expectations into an empty folder, with absolute paths to inputs; returns the file's path.
 fn written(folder: &tempfile::TempDir, cases: &str) -> String {
     let file = folder.path().join("cases.toml");
     let recordings = fs::canonicalize("recordings").unwrap();
@@ -50,7 +50,7 @@ fn a_case_that_does_not_hold_is_shown_with_the_line_of_its_expectation() {
     assert_eq!((&all["schema"], &all["differ"], &all["hold"]), (&"stictiond.test.v1".into(), &1.into(), &0.into()));
 }
 
-/// The configuration decides: what holds for one does not for another.
+/// The result depends on the configuration.
 #[test]
 fn the_settings_of_the_configuration_are_used() {
     let folder = tempfile::tempdir().unwrap();
@@ -75,7 +75,7 @@ fn the_settings_of_the_configuration_are_used() {
     let blind = config("d.toml", "[input]\ndiscover = false\n");
     let text = stdout(&expect(2, &["test", &blind, &file]));
     assert!(text.contains("does not watch FIC101") && text.contains("[[loop]]"), "{text}");
-    // A table without tags is judged as the loop that the case names.
+    // A table without tags is judged as the loop named in the case.
     expect(0, &["convert", "recordings/sticking.mcap", folder.path().join("june.csv").to_str().unwrap()]);
     let file = written(&folder, &case.replace("RECORDINGS/sticking.mcap\"", "june.csv\"\nloop = \"FIC101\""));
     expect(0, &["test", &config("a.toml", ""), &file]);

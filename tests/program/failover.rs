@@ -1,4 +1,4 @@
-//! Two gateways that stand in for each other, seen from the bus and from the recording.
+//! Two redundant gateways, as seen from the bus and from the recording.
 
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
@@ -26,13 +26,13 @@ fn a_gateway_that_falls_silent_is_followed_by_the_next_one_and_two_live_ones_are
     (0..600).for_each(|k| send("a", k));
     wait_for("the first gateway's samples", || (daemon.counter("samples") == 1200).then_some(()));
     assert_eq!((daemon.counter("second_source"), daemon.faults()), (0, vec![]));
-    // The first one is gone. Of the second one the first five seconds show that.
+    // The first one stops. The first five seconds of the second one are ignored, until this is certain.
     (600..1800).for_each(|k| send("b", k));
     wait_for("the second gateway's samples", || (daemon.counter("samples") == 3590).then_some(()));
     assert_eq!((daemon.counter("second_source"), daemon.counter("source_changes")), (10, 1));
     wait_for("the change among the faults", || names_both("is silent, now taken from").then_some(()));
     daemon.wait_for_estimates(20);
-    // The first one comes back: it is left out, and both are named.
+    // The first one comes back: it is ignored, and both are reported.
     for k in 1800..1900 {
         send("b", k);
         send("a", k);

@@ -1,7 +1,7 @@
-//! One report page as a whole, against the copy that was looked at and found good: `tests/golden/page.html`.
+//! One whole report page, compared with a copy that was checked by eye: `tests/golden/page.html`.
 //!
-//! Where the page is meant to change, make the copy anew and look at what changed in it:
-//! `STICTIOND_GOLDEN=write cargo test --test program golden`.
+//! If the page is meant to change, write a new copy and check the differences: `STICTIOND_GOLDEN=write cargo test --test
+//! program golden`.
 
 use std::fs;
 use std::process::Command;
@@ -10,20 +10,20 @@ use sha2::{Digest, Sha256};
 
 const GOLDEN: &str = "tests/golden/page.html";
 
-/// The page without what differs from build to build or place to place. Long runs of coordinates stand as their hash, one
+/// The page without anything that differs between builds or machines. Long runs of coordinates are replaced by their hash, one
 /// tag a line.
 fn normalised(page: &str, folder: &str) -> String {
     let page = page.replace(folder, "FOLDER").replace(env!("CARGO_PKG_VERSION"), "VERSION").replace("><", ">\n<");
     let (mut out, mut elapsed) = (String::with_capacity(page.len()), false);
     for line in page.lines() {
-        // What it took stands in the cell behind the name.
+        // The run time is in the cell after its name.
         if core::mem::replace(&mut elapsed, line.contains("elapsed_ms")) {
             out.push_str("ELAPSED\n");
             continue;
         }
         let short = line.split('"').enumerate().map(|(at, part)| {
             let digits = part.bytes().filter(u8::is_ascii_digit).count();
-            // Parts of odd number stand inside quotes.
+            // Odd-numbered parts are inside quotes.
             if at % 2 == 1 && part.len() > 60 && 2 * digits > part.len() { hash(part) } else { part.to_owned() }
         });
         out.push_str(&short.collect::<Vec<_>>().join("\""));

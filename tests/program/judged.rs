@@ -45,7 +45,7 @@ fn what_another_configuration_changes_is_named_and_the_recorded_one_changes_noth
     assert_eq!((&one["verdicts"], &one["before"]["windows"]), (&Value::Array(Vec::new()), &one["common_windows"]));
     assert_eq!((&all["active"]["gone"][0], &all["changed"]), (&"FIC101".into(), &1.into()));
 
-    // A hop twice as long has half the windows; those that both have are compared.
+    // A hop twice as long gives half as many windows; those in both are compared.
     let slower = judged(&recorded.replace("hop_s = 300", "hop_s = 600"), &[]);
     assert!(slower.contains("settings that differ: window.every_s") && slower.contains(" before, "), "{slower}");
 }

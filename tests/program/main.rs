@@ -1,6 +1,6 @@
-//! The program at its process boundary: commands, files, daemons.
+//! Tests of the programs from outside: commands, files, daemons.
 //!
-//! One binary, so that what all tests share is compiled and linked once.
+//! One binary, so that shared code is compiled and linked once.
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

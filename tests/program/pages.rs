@@ -17,7 +17,7 @@ use std::process::{Child, Command, Output, Stdio};
 use crate::elsewhere;
 use crate::live::{free_port, program, skipped, wait_for};
 
-/// One line to type, and the lines that are shown below it.
+/// A line to type, and the lines shown below it.
 pub struct Step {
     page: String,
     number: usize,
@@ -42,7 +42,7 @@ pub fn steps(page: &str, text: &str, marks: &[&str]) -> Vec<Step> {
     let mut steps: Vec<Step> = Vec::new();
     let (mut block, mut continued) = (None, false);
     for (at, line) in text.lines().enumerate() {
-        // A block in a list stands as far in as its fence.
+        // A block in a list is indented like its fence.
         let indent = block.map_or(0, |(_, indent)| indent);
         let line = line.get(indent..).unwrap_or_default();
         if let Some(mark) = line.trim_start().strip_prefix("```") {
@@ -65,7 +65,7 @@ pub fn steps(page: &str, text: &str, marks: &[&str]) -> Vec<Step> {
     steps
 }
 
-/// The words of a line as a shell has them, up to a comment, pipe or redirection.
+/// The words of a line as a shell splits them, up to a comment, pipe or redirection.
 fn words(line: &str) -> Vec<String> {
     let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
     for c in line.chars() {
@@ -83,7 +83,7 @@ fn words(line: &str) -> Vec<String> {
     words.into_iter().take_while(|w| !["#", "|", ">"].contains(&w.as_str())).collect()
 }
 
-/// The other programs of the package: built beside the program under test, but not by its own tests.
+/// The other programs of the package, which are built next to the program under test, but not by its tests.
 const OTHERS: [&str; 2] = ["stiction-lab", "stictiond-bridge"];
 
 /// Program and arguments of a line that calls one of the package; `None` for other lines.
@@ -99,21 +99,21 @@ fn call(line: &str) -> Option<(PathBuf, Vec<String>)> {
     }
 }
 
-/// The arguments of a line that calls the program itself.
+/// The arguments of a line that calls the program under test.
 fn arguments(line: &str) -> Option<Vec<String>> {
     call(line).filter(|(called, _)| *called == Path::new(&program())).map(|(_, arguments)| arguments)
 }
 
-/// What a reader puts something in place of: capitals alone, such as SECONDS.
+/// Whether a word is a placeholder for the reader to replace: capitals alone, such as SECONDS.
 fn is_placeholder(word: &str) -> bool {
     word.len() > 1 && word.chars().all(|c| c.is_ascii_uppercase() || c == '_')
 }
 
-/// `--help` at the end ends the parse before anything is run, and after every word before it was read.
+/// Parses a line with `--help` appended, which stops before the command runs and after every word was read.
 fn fault_of(called: &Path, arguments: &[String]) -> Option<String> {
     let mut said: Vec<&str> = Vec::new();
     for word in arguments {
-        // A placeholder stands for a value that this test does not know: its flag is looked up in the help below.
+        // The value of a placeholder is unknown here, so its flag is looked up in the help below.
         let value = is_placeholder(word) && said.last().is_some_and(|last| last.starts_with("--"));
         if value {
             said.pop();
@@ -149,7 +149,7 @@ fn every_command_line_is_accepted() {
                 crate::common::skipped("every_command_line_is_accepted", &format!("no {}", called.display()));
                 continue;
             }
-            // Off by default: the build that has OPC UA reads these lines, too.
+            // Off by default; the build with OPC UA checks these lines too.
             let of_opcua = arguments.first().is_some_and(|word| ["opcua", "discover"].contains(&word.as_str()));
             if called.ends_with("stictiond-bridge") && of_opcua && !has_opcua(&called) {
                 continue;
@@ -184,7 +184,7 @@ struct Running(Child);
 
 impl Running {
     fn start(folder: &Path, arguments: &[String]) -> Self {
-        // A workbench opens no browser here, takes any port, and says on the other channel where it is.
+        // Here a workbench opens no browser, takes any port, and prints its address on the other channel.
         let quiet: &[&str] = if arguments[0] == "workbench" { &["--no-open", "--listen", "0"] } else { &[] };
         let mut command = Command::new("bash");
         command.args(["-c", "exec \"$0\" \"$@\" 2>&1", &program()]).args(arguments).args(quiet);
@@ -196,12 +196,12 @@ impl Running {
             line.clear();
             assert!(log.read_line(&mut line).unwrap() > 0, "{arguments:?} ended early:\n{before}");
         }
-        // Nobody waits for what it logs later, but its pipe must not fill up.
+        // Its later log is not used, but its pipe must not fill up.
         std::thread::spawn(move || log.read_to_end(&mut Vec::new()));
         Self(child)
     }
 
-    /// Ctrl-C.
+    /// Stops it with Ctrl-C.
     fn stop(mut self) {
         let pid = self.0.id().to_string();
         assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
@@ -216,7 +216,7 @@ impl Drop for Running {
     }
 }
 
-/// A copy of what the pages read. Its daemons listen on free ports, since the usual ones may be taken.
+/// A copy of the files that the pages use. Its daemons listen on free ports, since the usual ones may be taken.
 struct Place {
     folder: tempfile::TempDir,
     ports: [String; 2],
@@ -245,7 +245,7 @@ impl Place {
         text.replace("7447", &self.ports[0]).replace("8080", &self.ports[1])
     }
 
-    /// The line in a shell that finds the programs under test.
+    /// Runs a line in a shell that finds the programs under test.
     fn shell(&self, line: &str) -> Output {
         let path = std::env::var("PATH").unwrap_or_default();
         let programs = Path::new(&program()).parent().unwrap().to_owned();
@@ -254,27 +254,27 @@ impl Place {
         command.env("PATH", format!("{}:{path}", programs.display())).output().unwrap()
     }
 
-    /// Runs one line of a page, and compares what it prints with what the page shows.
+    /// Runs one line of a page, and compares its output with the page.
     fn run(&mut self, step: &Step) -> Result<(), String> {
         let line = self.moved(&step.line);
         let arguments = arguments(&line).unwrap_or_default();
         match arguments.first().map(String::as_str) {
             Some(command @ ("run" | "demo" | "workbench")) => {
-                // One daemon of a page after the other has the ports.
+                // The daemons of a page use the ports one after another.
                 if command != "workbench" {
                     self.end();
                 }
                 self.running.push(Running::start(self.folder.path(), &arguments));
                 return Ok(());
             }
-            // What the bridge of the line before it would send.
+            // Publish what the bridge of the previous line would send.
             Some("discover") if line.contains("--connect") => {
                 let mut play = Command::new(program());
                 play.args(["play", "recordings/sticking.mcap", "--prefix", "plant1/area1/mqtt", "--speed", "50"]);
                 play.args(["--connect", &format!("tcp/127.0.0.1:{}", self.ports[0])]).stdout(Stdio::null());
                 self.running.push(Running(play.current_dir(self.folder.path()).spawn().unwrap()));
             }
-            // Its recording is whole once the daemon has ended.
+            // The recording is complete once the daemon has ended.
             Some("replay") if line.contains("recordings/demo") => self.end(),
             _ => {}
         }
@@ -285,7 +285,7 @@ impl Place {
             if !output.status.success() {
                 return Err(told);
             }
-            // Series of one name come in any order.
+            // Metrics of one name may come in any order.
             let lacks = if line.starts_with("curl ") {
                 step.shown.iter().find(|shown| !printed.lines().any(|line| line == *shown)).cloned()
             } else {
@@ -297,7 +297,7 @@ impl Place {
             }
         };
         if line.starts_with("curl ") {
-            // Estimates take a moment after the last sample.
+            // Estimates come a moment after the last sample.
             wait_for(&line, || once().ok());
             return Ok(());
         }
@@ -309,7 +309,7 @@ impl Place {
     }
 }
 
-/// The first line that is shown and was not printed, in the order in which lines are shown.
+/// The first shown line that was not printed, with lines in order.
 fn missing(shown: &[String], printed: &str) -> Option<String> {
     let mut printed = printed.lines();
     let shows = |shown: &str, printed: &str| match shown.strip_suffix("...") {
@@ -329,7 +329,7 @@ fn every_line_of_the_pages_runs_and_prints_what_is_shown() {
     for (page, text) in pages() {
         let mut here = Place::new();
         let steps = steps(&page, &text, &["sh", "console"]);
-        // Pages that ask a daemon and start none are of one that has heard the recording of a sticking valve.
+        // Pages that query a daemon without starting one assume a daemon that has heard the recording of a sticking valve.
         let starts = |step: &Step| step.line.starts_with("stictiond run");
         if steps.iter().any(|step| step.line.starts_with("curl ")) && !steps.iter().any(starts) {
             for line in ["stictiond run --config config/demo.toml", HEARD] {
@@ -357,10 +357,10 @@ fn every_line_of_the_pages_runs_and_prints_what_is_shown() {
     assert!(done > 30, "only {done} lines were found");
 }
 
-/// What makes the daemon of the pages have an answer and an alarm.
+/// Gives the daemon of the pages an answer and an alarm.
 const HEARD: &str = "stictiond play recordings/sticking.mcap --connect tcp/127.0.0.1:7447 --prefix demo --speed 200";
 
-/// A line with numbers so small that it ends in minutes, on recordings that are shipped.
+/// A line with small numbers, so that it ends in minutes, on shipped recordings.
 fn small(line: &str) -> String {
     const COUNTS: [(&str, &str); 8] = [
         ("--loops", "40"),
@@ -410,7 +410,7 @@ fn the_consumer_on_the_page_is_the_example() {
     assert!(fs::read_to_string("docs/alarms.md").unwrap().contains(&format!("```python\n{example}```")));
 }
 
-/// Configurations that the pages show are files in `config`, and `check` finds no fault in any but the one that has them.
+/// Configurations on the pages are files in `config`, and `check` finds faults only in the one that is meant to have them.
 #[test]
 fn configurations_of_the_pages_are_files_without_faults() {
     let mut shown = BTreeSet::new();
@@ -432,7 +432,7 @@ fn configurations_of_the_pages_are_files_without_faults() {
         .filter(|p| p.extension().is_some_and(|e| e == "toml"))
     {
         let name = path.display().to_string();
-        // Cases of `stictiond test` are no configuration.
+        // Cases of `stictiond test` are not a configuration.
         if name != "config/expectations.toml" {
             let checked = here.shell(&format!("stictiond check {name}"));
             assert_eq!(
@@ -448,7 +448,7 @@ fn configurations_of_the_pages_are_files_without_faults() {
 /// Pages whose figures are all quoted from docs/results.
 const OF_FIGURES: [&str; 2] = ["docs/accuracy.md", "docs/dev/evaluation.md"];
 
-/// What is kept, by the last command that printed it.
+/// Stored output by command, the last one printed.
 fn kept() -> Vec<(String, String)> {
     let files = fs::read_dir("docs/results").unwrap().map(|entry| fs::read_to_string(entry.unwrap().path()).unwrap());
     let of = |text: String| {
@@ -460,7 +460,7 @@ fn kept() -> Vec<(String, String)> {
     files.map(|text| of(text).expect("a command at the head of each kept file")).collect()
 }
 
-/// The calibrations that a command's figures follow from; its kept output names the hashes of those that it was made with.
+/// The calibrations that a command's figures depend on; its stored output names their hashes.
 fn behind(command: &str) -> &'static [&'static str] {
     let is = |words: &str| command.contains(words);
     match command {
@@ -472,13 +472,13 @@ fn behind(command: &str) -> &'static [&'static str] {
     }
 }
 
-/// Kept output of earlier builds, which pages may quote as such, and what it costs to make it again.
+/// Stored output of earlier builds, which pages may quote as such, and the cost of repeating it.
 const OLDER: [(&str, &str); 2] = [
     ("stiction-lab calibrate --intervals 600 --seed 33000", "28,800 loops, some hours of two cores"),
     ("stiction-lab challenge score b20", "932 loops with a search each, some hours of two cores"),
 ];
 
-/// The hash that a line of provenance gives to a calibration.
+/// The hash of a calibration in a line of provenance.
 fn hash_of<'a>(line: &'a str, calibration: &str) -> Option<&'a str> {
     line.split([',', ' ']).filter(|word| !word.is_empty()).skip_while(|word| *word != calibration).nth(1)
 }

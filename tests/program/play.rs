@@ -1,4 +1,4 @@
-//! `play` says that samples are published once the receiver has them.
+//! `play` reports samples as published only once the receiver has them.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -23,7 +23,7 @@ fn a_receiver_that_is_busy_for_seconds_has_all_samples_when_play_ends() {
     let count = taken.clone();
     let take = move |_| {
         if count.fetch_add(1, Ordering::SeqCst) == 0 {
-            // The thread that reads the socket stands here, as on a machine that has no time for it.
+            // Block the thread that reads the socket, as on a very busy machine.
             std::thread::sleep(BUSY);
         }
     };

@@ -1,4 +1,4 @@
-//! Recordings, whole and damaged: every message comes back, and no damage makes reading panic or invent data.
+//! Recordings, complete and damaged: every message can be read back, and no damage makes reading panic or invent data.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -11,7 +11,7 @@ use stiction_engine::codec::encode_recorded;
 use stiction_engine::codec::topic::Kind;
 use stiction_files::{End, METADATA_PREFIX, RecordingFile, RecordingReader, load_samples};
 
-/// Flips of the long tests; set higher by whoever has the time.
+/// Bit flips in the long tests; set higher for long runs.
 fn flips(few: usize) -> usize {
     std::env::var("STICTIOND_FLIPS").ok().and_then(|n| n.parse().ok()).unwrap_or(few)
 }
@@ -31,7 +31,7 @@ fn sample(i: i64, signal: Signal) -> Sample {
     Sample { signal, t_ns: i * 1_000_000_000 - 5, value, quality: (i % 5 == 0).then_some(192) }
 }
 
-/// Writes `chunks` chunks of `each` scans of two loops, and one estimate a chunk.
+/// Writes `chunks` chunks of `each` scans of two loops, with one estimate in each chunk.
 fn record(dir: &Path, chunks: i64, each: i64) -> RecordingFile {
     let mut file = RecordingFile::create(dir, "r", &metadata()).unwrap();
     let mut payload = Vec::new();
@@ -118,7 +118,7 @@ fn other_files_are_refused_by_name() {
     assert!(load_samples(&dir.path().join("none")).is_err());
 }
 
-/// At every cut the messages are a beginning of the whole file's, and the end is told.
+/// At every cut, the messages are a prefix of the whole file's, and the cut is reported.
 #[test]
 fn cut_at_every_byte() {
     let (dir, path, bytes) = finished(3, 2);
@@ -144,7 +144,7 @@ fn cut_at_every_byte() {
     }
 }
 
-/// One flipped byte costs at most its chunk (and the channels that only it names are taken from the index).
+/// One flipped byte costs at most its chunk (channels that only this chunk declares are taken from the index).
 #[test]
 fn a_flipped_byte_is_noticed_and_costs_one_chunk() {
     let (dir, path, bytes) = finished(3, 2);
@@ -203,7 +203,7 @@ proptest! {
     }
 }
 
-/// What could be read of a file, if anything could.
+/// The readable messages of a file, if any.
 fn rescued(path: &Path) -> Seen {
     let Ok(mut reader) = RecordingReader::open(path) else { return Vec::new() };
     let mut seen = Vec::new();
@@ -236,7 +236,7 @@ fn a_flipped_bit_costs_no_more_than_its_chunk_in_an_open_file_and_in_a_whole_one
             fs::write(&path, &hurt).unwrap();
             let left = rescued(&path);
             assert!(left.len() + per_chunk >= all.len(), "{what}, bit {bit}: {} of {} left", left.len(), all.len());
-            // What is left is what was written, in its order.
+            // The remaining messages are those written, in order.
             let mut rest = all.iter();
             assert!(left.iter().all(|m| rest.any(|w| w.0 == m.0 && w.4 == m.4)), "{what}, bit {bit}: invented");
         }
@@ -250,7 +250,7 @@ fn a_cut_at_every_byte_costs_no_more_than_the_chunk_in_hand() {
     let bytes = fs::read(file.part_path()).unwrap();
     let path = dir.path().join("cut.mcap.part");
     let mut before = 0;
-    // All of them where flips are asked for too.
+    // All lengths if flips are tested too.
     let step = if flips(0) > 0 { 1 } else { 7 };
     for length in (0..bytes.len()).step_by(step).chain([bytes.len()]) {
         fs::write(&path, &bytes[..length]).unwrap();

@@ -1,4 +1,4 @@
-//! The recordings that are shipped: what this build makes of their scenarios, to the byte, and what is true of them.
+//! The shipped recordings: this build reproduces them byte for byte from their scenarios, and its results match the truth.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;

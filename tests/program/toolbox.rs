@@ -1,4 +1,4 @@
-//! What those who come from the toolbox do, at the process boundary: stores, sections, downsampling, solvers.
+//! Uses that toolbox users know, run as programs: stores, sections, downsampling, solvers.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common::program;
@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// What it says on both channels.
+/// The output on both channels.
 #[track_caller]
 fn expect(code: i32, arguments: &[&str]) -> (String, String) {
     let out = program::expect(code, arguments);
@@ -28,7 +28,7 @@ fn interval(document: &Value, key: &str) -> [f64; 2] {
     [0, 1].map(|k| document[key][k].as_f64().unwrap())
 }
 
-/// The manual's worked examples: a loop as a whole, and a section of it downsampled by 2, come to the same conclusion.
+/// The manual's worked examples: a whole loop, and a section of it downsampled by 2, lead to the same conclusion.
 #[test]
 fn the_worked_examples_agree() {
     let folder = tempfile::tempdir().unwrap();
@@ -108,7 +108,7 @@ fn a_program_as_solver_is_heard_or_ended() {
     let three = script("three", "read task; for p in '9 9' '5 3' '1,0.5'; do echo \"$p\"; read mse; done\n");
     let found = &json(&[&some[..], &[&three]].concat())[0]["solver"];
     assert_eq!((&found["evaluations"], &found["stopped"]), (&3.into(), &"complete".into()));
-    // 9 + 9 is beyond OP's span, so 5, 3, which is the truth, is the best of the three.
+    // 9 + 9 exceeds OP's span, so 5, 3, which is the truth, is the best of the three.
     let [fs, fd] = ["fs", "fd"].map(|key| found[key].as_f64().unwrap());
     assert!((fs - 5.0).abs() < 1e-9 && (fd - 3.0).abs() < 1e-9 && found["estimate_mse"].is_number(), "{found}");
     let endless = script("endless", "read task; while true; do echo 5 3; read mse; done\n");
@@ -126,7 +126,7 @@ fn a_program_as_solver_is_heard_or_ended() {
         let (_, told) = expect(1, &[&some[..], &[&program]].concat());
         assert!(told.contains(part), "{name}: {told}");
     }
-    // What the script started is ended, too. Where nobody collects the dead, it stays as a zombie.
+    // Processes started by the script are killed too. Without a parent that collects them, they remain as zombies.
     let child = fs::read_to_string(&note).unwrap();
     let state = fs::read_to_string(format!("/proc/{}/stat", child.trim())).unwrap_or_default();
     assert!(state.is_empty() || state.contains(") Z "), "{state}");
@@ -187,7 +187,7 @@ fn bad_stores_end_in_a_sentence_with_the_place() {
         fs::write(&file, content).unwrap();
         file
     };
-    // A file of 2 GB of which nothing but the header is there.
+    // A file of 2 GB that contains only the header.
     let huge = write("huge.mat", &bytes[..128]);
     fs::OpenOptions::new().write(true).open(&huge).unwrap().set_len(2 << 30).unwrap();
     let nan = path(&folder, "nan.mat");

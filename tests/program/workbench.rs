@@ -1,4 +1,4 @@
-//! `stictiond workbench` at the process boundary: uploads, jobs with the commands' numbers, cancelling, hostile requests.
+//! `stictiond workbench` run as a program: uploads, jobs with the commands' numbers, cancellation, hostile requests.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -16,11 +16,11 @@ use crate::live::wait_for;
 const PROGRAM: &str = env!("CARGO_BIN_EXE_stictiond");
 const BASE: &str = "/api/v1/workbench";
 
-/// A workbench under test; killed when dropped.
+/// A workbench under test, killed on drop.
 struct Bench {
     child: Child,
     address: String,
-    /// Where it puts uploads.
+    /// Folder for its uploads.
     folder: tempfile::TempDir,
 }
 
@@ -63,7 +63,7 @@ impl Bench {
         Self { child, address: told["address"].as_str().unwrap().to_owned(), folder }
     }
 
-    /// One request on a connection of its own; `head` are lines beside the usual ones.
+    /// One request on a separate connection; `head` are additional header lines.
     fn send(&self, method: &str, path: &str, head: &[&str], body: &[u8]) -> Answer {
         let mut stream = TcpStream::connect(&self.address).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(120))).unwrap();
@@ -80,7 +80,7 @@ impl Bench {
         };
         let start = format!("{method} {path} HTTP/1.1\r\n{host}Connection: close\r\n{length}{lines}\r\n");
         stream.write_all(start.as_bytes()).unwrap();
-        // Who refuses at once may close before everything is sent.
+        // A server that refuses at once may close before everything is sent.
         let _ = stream.write_all(body);
         read(stream)
     }
@@ -138,7 +138,7 @@ fn unchunked(mut rest: &[u8]) -> Vec<u8> {
     body
 }
 
-/// A document without what the clock wrote into it.
+/// A document without its times.
 fn timeless(mut document: Value) -> Value {
     if let Some(fields) = document.as_object_mut() {
         fields.remove("elapsed_ms");
@@ -149,7 +149,7 @@ fn timeless(mut document: Value) -> Value {
     document
 }
 
-/// Runs the command lines that a job tells, with `extra` behind each; gives the documents.
+/// Runs a job's command lines with `extra` appended; returns the documents.
 fn pasted(job: &Value, folder: &Path, extra: &str) -> Vec<Value> {
     let mut documents = Vec::new();
     for line in job["command"].as_str().unwrap().lines() {
@@ -172,7 +172,7 @@ fn documents(job: &Value) -> Vec<Value> {
     results.iter().map(|result| timeless(result["document"].clone())).collect()
 }
 
-/// What was shown before the run is what the run analysed.
+/// Checks that the preview shows the data that the run analysed.
 fn previewed(bench: &Bench, request: &Value, job: &Value) {
     let answer = bench.own("POST", &format!("{BASE}/preview"), request.to_string().as_bytes());
     assert_eq!(answer.status, 200, "{}", answer.text());
@@ -195,7 +195,7 @@ fn previewed(bench: &Bench, request: &Value, job: &Value) {
     }
 }
 
-/// A table made of the shipped recording, in a folder of its own.
+/// A table from the shipped recording, in a separate folder.
 fn table(name: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -219,7 +219,7 @@ fn a_jobs_numbers_report_and_text_are_those_of_the_command_it_tells() {
         assert_eq!(job["state"], "done", "{job}");
         let runs = if request["model"] == "both" { 2 } else { 1 };
         let (found, wanted) = (documents(&job), pasted(&job, folder.path(), ""));
-        // The job goes by sections, the commands by models.
+        // The job is ordered by sections, the commands by models.
         let sections = found.len() / runs;
         assert_eq!((wanted.len(), sections), (found.len(), request["samples"].as_array().map_or(1, Vec::len)));
         for (k, document) in found.iter().enumerate() {
@@ -246,7 +246,7 @@ fn a_jobs_numbers_report_and_text_are_those_of_the_command_it_tells() {
             picture.head
         );
     }
-    // The page that `--report` writes, but for the command and the clock.
+    // The page that `--report` writes, except for the command and the time.
     let job = bench
         .done(&bench.order(&json!({"kind": "analyze", "file": file["id"], "loop": "my_loop", "samples": [[1, 400]]})));
     pasted(&job, folder.path(), "--report page.html");
@@ -287,7 +287,7 @@ fn a_diagnosis_is_that_of_the_command_and_an_estimate_can_be_its_base() {
         drawn["t_ms"].as_array().unwrap().len() <= 220
             && drawn["pv_after"].as_array().unwrap().iter().any(Value::is_number)
     );
-    // The estimate of another run as the model that the gap is measured from.
+    // An estimate from another run, as the base model of the gap.
     let estimate = bench.done(&bench.order(&json!({"kind": "analyze", "file": file["id"], "loop": "FIC101"})));
     let job = order(&json!({"base": estimate["results"][0]["document"]}));
     assert!(job["results"][0]["document"]["given"].is_object(), "{job}");
@@ -303,7 +303,7 @@ fn what_is_cancelled_ends_and_leaves_room() {
     wait_for("its solver", || {
         bench.job(&running)["progress"]["words"].as_str().filter(|words| words.contains("solver random: ")).map(drop)
     });
-    // More wait than there is room for.
+    // More jobs than may wait.
     let mut last = 0;
     for _ in 0..20 {
         last = bench.own("POST", &format!("{BASE}/jobs"), long.to_string().as_bytes()).status;
@@ -314,14 +314,14 @@ fn what_is_cancelled_ends_and_leaves_room() {
         assert_eq!(bench.own("DELETE", &path, b"").json()["state"], "cancelled");
         assert_eq!(bench.get(&path).json()["state"], "cancelled");
     }
-    // Its thread is free, too: a short job is done long before ten million models are.
+    // Its thread is free again: a short job is done long before ten million models are.
     let short =
         bench.done(&bench.order(&json!({"kind": "gap", "file": "f1", "loop": "FIC101", "samples": [[1, 300]]})));
     assert_eq!(short["state"], "done", "{short}");
-    // Its stream tells where it stands and ends.
+    // Its stream reports its state and ends.
     let events = bench.get(&format!("{BASE}/jobs/{running}/events")).text();
     assert!(events.contains("event: job") && events.contains("\"state\":\"cancelled\""), "{events}");
-    // What is over can be forgotten.
+    // A finished job can be deleted.
     assert_eq!(bench.own("DELETE", &format!("{BASE}/jobs/{running}"), b"").status, 200);
     assert_eq!(bench.get(&format!("{BASE}/jobs/{running}")).status, 404);
 }
@@ -376,10 +376,10 @@ fn hostile_names_paths_and_bodies_are_refused_and_leave_nothing() {
         code == 422 && text.contains("notes.csv") && !text.contains(bench.folder.path().to_str().unwrap()),
         "{text}"
     );
-    // Too large by its own word: refused before it comes.
+    // A stated size that is too large is refused before the data come.
     let (code, text) = status("POST", "/files?name=big.csv", &[own, "Content-Length: 300000000"], b"t,op,pv\n");
     assert!(code == 413 && text.contains("256 MiB"), "{code} {text}");
-    // A program of somebody's own is no solver here, and nothing is guessed.
+    // A user's own solver program is not available here, and nothing is guessed.
     for (field, value) in [
         ("solver", json!("cmd:touch /tmp/x")),
         ("valve", json!("hee")),
@@ -392,12 +392,12 @@ fn hostile_names_paths_and_bodies_are_refused_and_leave_nothing() {
         let mut request = json!({"kind": "analyze", "file": "f1", "loop": "evil"});
         request[field] = value.clone();
         let (code, text) = status("POST", "/jobs", &[own], request.to_string().as_bytes());
-        // What a field may not be is told by its name, or by what was written there.
+        // An invalid value is reported by field or by the value.
         let named = text.contains(field) || value.as_str().is_some_and(|word| text.contains(word));
         assert!(code == 422 && named, "{field}: {code} {text}");
     }
     assert_eq!(status("POST", "/jobs", &[own], &vec![b' '; 3 << 20]).0, 413);
-    // A body that trickles is given up.
+    // A body that trickles is cut off.
     let mut slow = TcpStream::connect(&bench.address).unwrap();
     slow.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
     let head = format!(
@@ -409,7 +409,7 @@ fn hostile_names_paths_and_bodies_are_refused_and_leave_nothing() {
     BufReader::new(slow).read_line(&mut line).unwrap();
     assert!(line.contains(" 408 "), "{line:?}");
     assert_eq!(fs::read_dir(&inside[0]).unwrap().count(), 1, "what was refused is gone");
-    // Ctrl-C ends it in order; uploads go with it.
+    // Ctrl-C stops it in order and deletes the uploads.
     let pid = bench.child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
     assert_eq!(bench.child.wait().unwrap().code(), Some(0));
@@ -431,7 +431,7 @@ fn the_trend_keeps_extremes_and_numbers_samples_as_sections_count_them() {
     assert_eq!((part["range"].clone(), part["index"][0].clone()), (json!([1001, 2000]), json!(1001)));
     let refused = bench.get(&format!("{BASE}/files/f1/record?loop=wave&from_ms=x"));
     assert!(refused.status == 422 && refused.json()["error"].is_string(), "{}", refused.text());
-    // The page itself and what it may load.
+    // The page itself, and what it may load.
     let page = bench.get("/");
     assert!(page.status == 200 && page.text().contains("<!doctype html>") && page.head.contains("default-src 'self'"));
     let site = bench.get("/api/v1/site").json();
@@ -452,7 +452,7 @@ fn a_file_that_needs_more_memory_than_is_allowed_ends_the_program() {
     let table = format!("t,op,pv\n{rows}");
     write!(stream, "{head}Content-Length: {}\r\n\r\n{table}", table.len()).unwrap();
     let mut answer = String::new();
-    // The program ends without an answer.
+    // The program ends without a response.
     let _ = stream.read_to_string(&mut answer);
     assert_eq!((answer.as_str(), bench.child.wait().unwrap().signal()), ("", Some(6)));
 }

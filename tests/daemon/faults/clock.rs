@@ -25,7 +25,7 @@ fn one_start_with_the_clock_ahead_is_not_the_newest_for_ever() {
     ahead.stop();
     let first = files(&dir.path().join("rec")).pop().unwrap();
     assert!(first.file_name().unwrap().to_str().unwrap().contains("-203"), "{first:?} was made under that clock");
-    // The clock is right again, and an alarm comes.
+    // The clock is correct again, and an alarm is raised.
     alarmed(dir.path()).stop();
     assert_eq!(state_after_restart(dir.path()), "unack");
     fs::remove_file(dir.path().join("rec/state.redb")).unwrap();
@@ -53,7 +53,7 @@ fn a_clock_that_jumps_years_either_way_costs_no_sample_no_recording_and_no_alarm
         }
         wait_for("the samples", || (daemon.counter("samples") == 2 * sent.unsigned_abs()).then_some(()));
     }
-    // Ten years on, every recording is older than anything that is kept.
+    // Ten years later, every recording is older than the retention allows.
     wait_for("the doubt", || daemon.faults().iter().any(|f| f.contains("the clock is far ahead")).then_some(()));
     for name in
         ["stamps_ahead", "over_rate", "dropped_input", "recording_lost", "recordings_thinned", "recordings_removed"]

@@ -1,4 +1,4 @@
-//! A disk that breaks, and folders that are not what they were.
+//! A disk that breaks, and folders that are replaced.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -11,7 +11,7 @@ use crate::live::{
     wait_for,
 };
 
-/// Sends so many samples of loop A, and waits until the daemon has them.
+/// Sends this many samples of loop A, and waits until the daemon has them.
 fn feed(daemon: &Daemon, bus: &zenoh::Session, sent: &mut u64, count: u64) {
     let before = daemon.counter("samples");
     for _ in 0..count {
@@ -43,12 +43,12 @@ fn input_output_errors_are_named_counted_and_over_when_the_disk_is_well() {
     feed(&daemon, &bus, &mut sent, 300);
     wait_for("the fault", || is_named(&daemon, "recording has stopped").then_some(()));
     wait_for("503", || (daemon.health_status() == 503).then_some(()));
-    // The compressor gives no number to an error of the file below it.
+    // The compressor does not pass on the error number of the file.
     assert!(is_named(&daemon, "os error 5") || is_named(&daemon, "I/O error"), "{:?}", daemon.faults());
-    // People are told that it may be forgotten; it holds all the same, and goes to the disk once that is well.
+    // The person is told that the command may be lost; it has effect all the same, and is stored once the disk works.
     let why = ask(&bus, &plane("FIC101/alarm?cmd=ack;by=ann")).unwrap_err();
     assert!(why.contains("carried out, but not stored"), "{why}");
-    // The publisher says it a moment after the command was answered.
+    // The publisher sends it shortly after the command's reply.
     wait_for("the acknowledgement", || (alarm_state(&bus).as_deref() == Some("acked")).then_some(()));
     wait_for("the store's fault", || is_named(&daemon, "cannot be stored").then_some(()));
     shim.break_disk(false);
@@ -87,7 +87,7 @@ fn an_end_beside_a_disk_that_hangs_or_breaks_fails_and_names_what_is_not_finishe
         }
         feed(&daemon, &bus, &mut sent, 300);
         wait_for("503", || {
-            // A disk that hangs is noticed by what waits for it.
+            // A hanging disk is noticed only by operations that wait for it.
             feed(&daemon, &bus, &mut sent, 1);
             (daemon.health_status() == 503).then_some(())
         });
@@ -121,7 +121,7 @@ fn a_folder_that_becomes_a_file_or_a_circle_of_links_is_named_and_recording_goes
         }
         wait_for("the fault", || is_named(&daemon, "recording has stopped").then_some(()));
         feed(&daemon, &bus, &mut sent, 20);
-        // A command is answered all the same.
+        // Commands are answered all the same.
         let why = ask(&bus, &plane("A/alarm?cmd=suppress;by=ann"));
         assert!(why.as_ref().is_err_and(|w| w.contains("not stored")), "{why:?}");
         fs::remove_file(&rec).unwrap();
@@ -151,7 +151,7 @@ fn links_in_circles_pipes_and_folders_among_the_recordings_stop_nothing() {
     assert_eq!(state_after_restart(dir.path()), "unack");
     fs::remove_file(rec.join("state.redb")).unwrap();
     assert_eq!(state_after_restart(dir.path()), "unack", "from the recordings");
-    // A store that is a folder can be neither read nor written: named, and it starts.
+    // A folder in place of the store can be neither read nor written: the daemon reports it and starts.
     fs::remove_file(rec.join("state.redb")).unwrap();
     fs::create_dir(rec.join("state.redb")).unwrap();
     let daemon = Daemon::start(dir.path(), FAST);

@@ -1,4 +1,4 @@
-//! Links that stall, break and come again, and readers that stop reading.
+//! Links that stall, break and recover, and readers that stop reading.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -18,12 +18,12 @@ use zenoh::qos::CongestionControl;
 
 use crate::live::{self, Daemon, PREFIX, files, http, ok, wait_for};
 
-/// A line between two parties that holds bytes back and is cut, as wireless bridges and failing switches do it: what TCP
-/// makes of lost packets.
+/// A connection that holds bytes back and is cut, as with wireless bridges and failing switches: what lost packets look like
+/// through TCP.
 pub struct BadLine {
     pub port: u16,
     bad: Arc<AtomicBool>,
-    /// Nothing of what the daemon sends is carried.
+    /// Nothing that the daemon sends is forwarded.
     pub deaf: Arc<AtomicBool>,
     cuts: Arc<AtomicU64>,
 }
@@ -38,7 +38,7 @@ impl BadLine {
         std::thread::spawn(move || {
             let mut seen = 0;
             for (number, near) in listener.incoming().flatten().enumerate() {
-                // What was cut stays dead for a while.
+                // After a cut the connection remains dead for a while.
                 if seen != cuts.load(Ordering::Relaxed) {
                     seen = cuts.load(Ordering::Relaxed);
                     std::thread::sleep(Duration::from_millis(500));
@@ -83,7 +83,7 @@ fn carry(
     let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
 }
 
-/// A client of the plant's side, which tries for ever.
+/// A client on the plant's side that keeps trying to connect.
 pub fn client(port: u16) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
@@ -98,7 +98,7 @@ pub fn client(port: u16) -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
-/// The sum of all loops' aligner counts of a name.
+/// A total of all loops' aligner counts, by name.
 fn aligned(daemon: &Daemon, name: &str) -> u64 {
     let row = format!("stictiond_aligner{{name=\"{name}\"}} ");
     http(&daemon.web, "/metrics").lines().find_map(|l| l.strip_prefix(&row)).map_or(0, |n| n.parse().unwrap())
@@ -145,7 +145,7 @@ fn what_a_failing_link_loses_is_lost_once_and_the_holes_are_those_that_an_oracle
         (line.cuts.load(Ordering::Relaxed) >= 3).then_some(())
     });
     line.bad.store(false, Ordering::Relaxed);
-    // Fresh samples arrive once the faults have stopped.
+    // New samples arrive once the faults have stopped.
     let before = daemon.counter("samples");
     wait_for("samples after it", || {
         send(Duration::from_millis(10));
@@ -153,7 +153,7 @@ fn what_a_failing_link_loses_is_lost_once_and_the_holes_are_those_that_an_oracle
     });
     let sent = send(Duration::from_millis(500));
     let samples = daemon.counter("samples");
-    // The aligners' sums come with the health: those of all samples are there two documents later.
+    // The aligners' totals are published with the health, so two documents later they include all samples.
     let uptime = || daemon.health()["uptime_s"].as_f64().unwrap();
     for _ in 0..2 {
         let before = uptime();
@@ -178,11 +178,11 @@ fn what_a_failing_link_loses_is_lost_once_and_the_holes_are_those_that_an_oracle
     assert!(holes > 0 && holes == counted, "{holes} holes, the oracle counts {counted}");
 }
 
-/// A process that is stopped for a while; killed when dropped.
+/// A process that is stopped for a while; killed on drop.
 struct Reader(Child);
 
 impl Reader {
-    /// Another daemon on the same keys: it listens to every document of the first.
+    /// Another daemon on the same keys, which receives every document of the first.
     fn start(dir: &Path, port: u16) -> Self {
         let (config, rec) = (dir.join("reader.toml"), dir.join("reader"));
         let text = format!(
@@ -221,7 +221,7 @@ fn a_reader_that_is_stopped_holds_nothing_up_and_hears_again_when_it_goes_on() {
     let reader = Reader::start(dir.path(), daemon.endpoint.rsplit(':').next().unwrap().parse().unwrap());
     let bus = daemon.session();
     let mut at_s = 1_700_000_000_i64;
-    // So many seconds of every loop, calm: a document each ten seconds of plant time.
+    // This many seconds of every loop, without stiction: a document for every ten seconds of plant time.
     let mut feed = |seconds: i64| {
         for index in 0..LOOPS {
             for signal in ["op", "pv"] {
@@ -243,7 +243,7 @@ fn a_reader_that_is_stopped_holds_nothing_up_and_hears_again_when_it_goes_on() {
         feed(100);
         std::thread::sleep(Duration::from_secs(1));
     });
-    // Every window has its estimate, recorded and published or counted, while the reader stands still.
+    // While the reader is stopped, every window gets its estimate, recorded, and published or counted.
     wait_for("every window", || {
         let windows = daemon.counter("windows");
         (windows >= before + 50 * LOOPS as u64 && daemon.counter("estimates") == windows).then_some(())
@@ -256,7 +256,7 @@ fn a_reader_that_is_stopped_holds_nothing_up_and_hears_again_when_it_goes_on() {
     reader.signal("CONT");
     let health = daemon.health()["queues"].as_array().unwrap().clone();
     assert!(health.iter().all(|q| q["length"].as_u64() <= q["limit"].as_u64()), "{health:?}");
-    // A fresh document is heard after it, by somebody new too.
+    // Afterwards new documents are received, also by a new reader.
     let published = daemon.counter("published");
     feed(100);
     wait_for("documents after it", || (daemon.counter("published") > published + 8 * LOOPS as u64).then_some(()));

@@ -1,4 +1,4 @@
-//! Clients that ask and do not read: they cost nobody else a sample or an answer.
+//! Clients that send queries and do not read: no one else loses a sample or a reply.
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -9,13 +9,13 @@ use zenoh::qos::CongestionControl;
 use super::link::{BadLine, client};
 use crate::live::{Daemon, PREFIX, ask, plane, wait_for};
 
-/// What Zenoh logs once it has given up a reader.
+/// Zenoh's log message when it has given up a reader.
 const GIVEN_UP: &str = "Closing transport";
 /// How long Zenoh waits for them.
 const PATIENCE: Duration = Duration::from_secs(40);
-/// Messages that arrive meanwhile.
+/// Messages that arrive in the meantime.
 const SENT: u64 = 1000;
-/// Commands of one client that are refused meanwhile.
+/// Commands of one client that are refused in the meantime.
 const REFUSED: usize = 40_000;
 
 fn deaf_client(daemon: &Daemon) -> (BadLine, zenoh::Session) {
@@ -25,14 +25,14 @@ fn deaf_client(daemon: &Daemon) -> (BadLine, zenoh::Session) {
     (line, session)
 }
 
-/// Asks without waiting for the answers.
+/// Sends queries without waiting for replies.
 fn ask_often(session: &zenoh::Session, key: &str, times: usize) {
     for _ in 0..times {
         session.get(key).timeout(Duration::from_secs(100)).callback(|_| {}).wait().unwrap();
     }
 }
 
-/// Samples arrive and a command is answered while Zenoh still waits for those that do not read.
+/// Checks that samples arrive and a command is answered while Zenoh still waits for readers.
 fn assert_heard(daemon: &Daemon) {
     let bus = daemon.session();
     let before = daemon.counter("samples");
@@ -48,8 +48,8 @@ fn assert_heard(daemon: &Daemon) {
     bus.close().wait().unwrap();
 }
 
-/// A daemon that knows one loop, and whose Zenoh waits long for a reader before it gives that reader up: how fast the machine
-/// is decides nothing.
+/// A daemon that knows one loop, and whose Zenoh waits long before it gives up a reader, so that the speed of the machine does
+/// not matter.
 fn daemon(dir: &std::path::Path) -> Daemon {
     let settings = dir.join("zenoh.json5");
     let patience_us = PATIENCE.as_micros();
@@ -69,13 +69,13 @@ fn daemon(dir: &std::path::Path) -> Daemon {
 fn readers_of_documents_that_stop_reading_cost_no_sample() {
     let dir = tempfile::tempdir().unwrap();
     let daemon = daemon(dir.path());
-    // Two, as Zenoh reads its links with two threads; each asks for more than the system's buffers take.
+    // Two readers, since Zenoh reads its links with two threads; each requests more than the system's buffers can hold.
     let readers = [deaf_client(&daemon), deaf_client(&daemon)];
     let before = daemon.counter("queries");
     readers.iter().for_each(|(_, session)| ask_often(session, &plane("@schema/*"), 200));
     wait_for("the queries", || (daemon.counter("queries") >= before + 2).then_some(()));
     assert_heard(&daemon);
-    // Who does not read is given up in the end, and what waited for it is gone.
+    // Readers that do not read are given up in the end, and everything that waited for them is dropped.
     wait_for("the end of the readers", || daemon.logged().contains(GIVEN_UP).then_some(()));
     for (line, session) in readers {
         line.deaf.store(false, Ordering::Relaxed);
@@ -88,7 +88,7 @@ fn readers_of_documents_that_stop_reading_cost_no_sample() {
 fn refused_commands_of_a_client_that_does_not_read_cost_neither_samples_nor_commands_of_others() {
     let dir = tempfile::tempdir().unwrap();
     let daemon = daemon(dir.path());
-    // Two, as Zenoh reads its links with two threads; each sends more than may wait to be refused.
+    // Two clients, since Zenoh reads its links with two threads; each sends more than may wait to be refused.
     let clients = [deaf_client(&daemon), deaf_client(&daemon)];
     let before = daemon.counter("queries");
     std::thread::scope(|scope| {

@@ -1,5 +1,5 @@
-//! A small library in front of the system's, made by the C compiler when a test runs, that breaks disk and clock of one
-//! process: what no file system and no container can do without root.
+//! A small preloaded library, compiled when a test runs, that breaks the disk and clock of one process: file systems and
+//! containers cannot do this without root.
 
 use std::fs::{self, File};
 use std::os::unix::fs::FileExt;
@@ -18,7 +18,7 @@ pub struct Shim {
 }
 
 impl Shim {
-    /// Makes it; none where there is no C compiler.
+    /// Compiles it; `None` without a C compiler.
     pub fn new(dir: &Path) -> Option<Self> {
         let [source, library, told] = ["shim.c", "shim.so", "told"].map(|name| dir.join(name));
         fs::write(&source, SOURCE).unwrap();
@@ -37,23 +37,23 @@ impl Shim {
         Some(Self { told: File::options().write(true).open(told).unwrap(), environment })
     }
 
-    /// Starts a daemon behind it.
+    /// Starts a daemon with the library preloaded.
     pub fn start(&self, dir: &Path, extra: &str) -> Daemon {
         let by: Vec<&str> = self.environment.iter().map(String::as_str).collect();
         Daemon::start_by(&by, dir, extra)
     }
 
-    /// Whether the recording folder breaks.
+    /// Sets whether access to the recording folder fails.
     pub fn break_disk(&self, broken: bool) {
         self.told.write_all_at(&i64::from(broken).to_ne_bytes(), 0).unwrap();
     }
 
-    /// Whether the recording folder hangs.
+    /// Sets whether access to the recording folder hangs.
     pub fn hang_disk(&self, hangs: bool) {
         self.told.write_all_at(&(2 * i64::from(hangs)).to_ne_bytes(), 0).unwrap();
     }
 
-    /// How far the wall clock is ahead.
+    /// Sets how far the wall clock is ahead.
     pub fn set_clock(&self, ahead_s: i64) {
         self.told.write_all_at(&ahead_s.to_ne_bytes(), 8).unwrap();
     }

@@ -1,4 +1,4 @@
-//! Starts: over a store that was damaged, asked to stop before it has begun, and with a configuration of any size.
+//! Starts: with a damaged store, with a stop request before the start is complete, and with configurations of any size.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -29,13 +29,13 @@ fn a_store_that_is_damaged_before_a_start_or_under_the_daemon_costs_no_alarm() {
         match round % 3 {
             0 => bytes.truncate(at),
             1 => bytes[at..].fill(0xa5),
-            // Where its pages are: the rest is room.
+            // The pages with data; the rest is free space.
             _ => bytes[..16_384].iter_mut().step_by(97).for_each(|byte| *byte ^= 4),
         }
         fs::write(&store, &bytes).unwrap();
         assert_eq!(state_after_restart(dir.path()), "unack", "round {round}, at {at}");
     }
-    // Under the daemon: what is answered stays, whatever the next start finds in the store.
+    // The store is damaged under a running daemon: acknowledged commands persist, whatever the next start finds in the store.
     for (round, cmd) in ["suppress", "unsuppress", "suppress"].into_iter().enumerate() {
         let earlier = files(&dir.path().join("rec"));
         let daemon = Daemon::start(dir.path(), FAST);
@@ -48,11 +48,11 @@ fn a_store_that_is_damaged_before_a_start_or_under_the_daemon_costs_no_alarm() {
             _ => fs::write(&store, b"").unwrap(),
         }
         let wanted = if cmd == "suppress" { "suppressed" } else { "unack" };
-        // The first answer may be that it could not be stored; no later one is.
+        // The first reply may say that the command could not be stored; no later one does.
         let _ = ask(&bus, &plane(&format!("FIC101/alarm?cmd={cmd};by=ann")));
         wait_for("its state", || (alarm_state(&bus).as_deref() == Some(wanted)).then_some(()));
         wait_for("a store", || (!daemon.faults().iter().any(|f| f.contains("cannot be stored"))).then_some(()));
-        // The recording holds the same.
+        // The recording contains the same.
         wait_for("the recording of it", || {
             let own = files(&daemon.recordings).into_iter().filter(|file| !earlier.contains(file));
             let mut alarms = own.flat_map(|file| documents(&file, Kind::Alarm));
@@ -64,7 +64,7 @@ fn a_store_that_is_damaged_before_a_start_or_under_the_daemon_costs_no_alarm() {
     }
 }
 
-/// Whether the process takes SIGTERM itself by now.
+/// Whether the process handles SIGTERM yet.
 fn takes_sigterm(pid: u32) -> bool {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
     let caught = status.lines().find_map(|l| l.strip_prefix("SigCgt:")).map_or("0", str::trim);
@@ -85,7 +85,7 @@ fn asked_to_stop_or_to_reload_while_it_starts_it_ends_in_order_and_forgets_nothi
     let mut random = ChaCha8Rng::seed_from_u64(5);
     for cycle in 0..24 {
         if cycle % 3 == 0 {
-            // Then it reads recordings first.
+            // Without the store it reads recordings first.
             let _ = fs::remove_file(dir.path().join("rec/state.redb"));
         }
         let mut child = spawn(&config);

@@ -1,4 +1,4 @@
-//! Hostile publishers, strangers with commands, clients that never finish: bounded, answered, logged.
+//! Hostile publishers, strangers who send commands, clients that never finish: all are limited, answered and logged.
 
 mod pages;
 mod proxy;
@@ -28,7 +28,7 @@ fn large_payloads_are_bounded_in_bytes_and_every_one_is_counted() {
     let daemon = Daemon::start(dir.path(), "[input]\nqueue_bytes = 8388608\n");
     let bus = daemon.session();
     let before = peak_mb(daemon.pid());
-    // Whole batches of nearly 1 MiB, faster than they can be taken.
+    // Batches of nearly 1 MiB, faster than they can be processed.
     let batch = format!("[{}1]{}", "1,".repeat(9_999), " ".repeat((1 << 20) - 30_000));
     let put = |payload: Vec<u8>| {
         bus.put(format!("{PREFIX}/F/op"), payload).congestion_control(CongestionControl::Block).wait().unwrap();
@@ -37,12 +37,12 @@ fn large_payloads_are_bounded_in_bytes_and_every_one_is_counted() {
         put(batch.clone().into_bytes());
     }
     wait_for("all messages", || (daemon.counter("messages") == 120).then_some(()));
-    // Nothing frozen: what was not taken is counted as dropped.
+    // Nothing is stuck: messages that were not taken are counted as dropped.
     wait_for("all counted", || {
         let (taken, dropped) = (daemon.counter("samples") / 10_000, daemon.counter("dropped_input"));
         (taken + dropped == 120).then_some(())
     });
-    // Payloads that are too large are refused; far too large ones are never even put together.
+    // Payloads that are too large are refused; far larger ones are never even assembled.
     put(vec![b'1'; 2 << 20]);
     wait_for("the refusal", || (daemon.counter("undecodable") == 1).then_some(()));
     put(vec![b'1'; 200 << 20]);
@@ -73,17 +73,17 @@ fn strangers_are_answered_logged_and_bounded() {
     assert!(refused("cmd=ack;by=boss\u{1b}]0;pwned\u{7}").contains("control characters"));
     assert!(refused(&format!("cmd={};by=ann", "z".repeat(100_000))).len() < 300);
     assert_eq!(alarm_state(&bus).as_deref(), Some("unack"));
-    // Diagnoses: named, and no more than are allowed.
+    // Diagnoses need a name and are limited in number.
     let runs: Vec<Result<_, String>> = (0..6).map(|k| ask(&bus, &plane(&format!("FIC101/gap?run;by=p{k}")))).collect();
     assert_eq!(runs.iter().filter(|r| r.is_ok()).count(), 3, "{runs:?}");
     assert!(runs.last().unwrap().as_ref().unwrap_err().contains("diagnoses an hour"));
     assert!(ask(&bus, &plane("FIC101/gap?run")).unwrap_err().contains("does not name the person"));
-    // Loops whose names steer terminals do not appear.
+    // Loops with names that could steer a terminal do not appear.
     let loops = daemon.health()["loops"].as_u64().unwrap();
     bus.put(format!("{PREFIX}/\u{1b}[2J/op"), "1").wait().unwrap();
     wait_for("the refusal", || (daemon.counter("refused_loops") == 1).then_some(()));
     assert_eq!(daemon.health()["loops"].as_u64().unwrap(), loops);
-    // A forged document is noticed.
+    // A forged document is detected.
     let forged = r#"{"schema":"stictiond.alarm.v2","loop":"FIC101","state":"normal","active":false}"#;
     bus.put(plane("FIC101/alarm"), forged).wait().unwrap();
     wait_for("the fault", || daemon.faults().iter().any(|f| f.contains("come from elsewhere")).then_some(()));
@@ -94,7 +94,7 @@ fn strangers_are_answered_logged_and_bounded() {
     daemon.stop();
 }
 
-/// Connects from an address of this machine's loopback network, which counts as a host of its own.
+/// Connects from another address of this machine's loopback network, which counts as a separate host.
 fn connect_from(address: &str, to: &str) -> TcpStream {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().unwrap();
     let stream = runtime.block_on(async {
@@ -115,13 +115,13 @@ fn one_host_cannot_hold_all_connections_and_all_together_stay_bounded() {
     let before = descriptors();
     let open_half = |from: &str| {
         let mut stream = connect_from(from, &daemon.web);
-        // One beyond the limit is closed at once, maybe before this is written.
+        // Connections beyond the limit are closed at once, maybe before this is written.
         let _ = stream.write_all(b"GET /metrics HTTP/1.1\r\nX: ");
         stream
     };
     let one_host: Vec<TcpStream> = (0..200).map(|_| open_half("127.0.0.2")).collect();
     wait_for("the limit of one host", || (descriptors() <= before + 64).then_some(()));
-    // Heads that are not finished within 5 s are closed: this answer comes while they are open.
+    // Unfinished request heads are closed after 5 s: this answer comes while they are open.
     let (status, _) =
         request(connect_from("127.0.0.3", &daemon.web), &["GET", "/healthz"], &[("Host", "localhost")], "");
     assert_eq!(status, 200);
@@ -153,7 +153,7 @@ fn requests_that_are_never_finished_end_and_shut_nobody_out_for_long() {
             .set_read_timeout(Some(until.saturating_duration_since(Instant::now()) + Duration::from_secs(1)))
             .unwrap();
         let mut answer = Vec::new();
-        // Closed, or reset: either way it has ended. A read that times out would be neither.
+        // Closed or reset, the connection has ended. A read that times out would mean that it has not.
         let ended = stream.read_to_end(&mut answer);
         assert!(ended.as_ref().err().is_none_or(|e| e.kind() != std::io::ErrorKind::WouldBlock), "{ended:?}");
     }
@@ -161,14 +161,14 @@ fn requests_that_are_never_finished_end_and_shut_nobody_out_for_long() {
     daemon.stop();
 }
 
-/// Samples of a loop from one second to another: calm, or swinging as a sticking valve makes it.
+/// Samples of a loop over a range of seconds: calm, or oscillating like a sticking valve.
 fn batch(loop_index: usize, signal: &str, seconds: std::ops::Range<i64>, step_s: i64) -> String {
     let value = |k: i64| {
         let (noise, swing) = ((k * k * 7919 + loop_index as i64) % 97, if k % 12 < 6 { 4.0 } else { -4.0 });
         let swing = if loop_index.is_multiple_of(10) { swing } else { 0.0 };
         50.0 + noise as f64 / 97.0 + if signal == "op" { swing * ((k % 6) as f64 / 3.0 - 1.0) } else { swing }
     };
-    // The first second of a window; the one before it would be a window of its own.
+    // Starts with the first second of a window; the one before it would belong to a separate window.
     let sample = |k: i64| format!("{{\"t\":{},\"v\":{:.3}}}", (1_700_000_041 + k * step_s) * 1_000_000_000, value(k));
     format!("[{}]", seconds.map(sample).collect::<Vec<_>>().join(","))
 }
@@ -198,7 +198,7 @@ fn windows_of_all_loops_at_once_and_racing_stamps_cost_no_honest_loop_its_turn()
         for index in 0..LOOPS {
             for signal in ["op", "pv"] {
                 put(&format!("L{index:04}"), signal, batch(index, signal, window * 120..window * 120 + until, 1));
-                // Twenty seconds a sample where the others have one: a window with every sixth.
+                // Twenty seconds between samples where the others have one, so every six samples fill a window.
                 put(
                     "racing",
                     signal,
@@ -240,7 +240,7 @@ fn invented_loops_racing_clocks_and_floods_are_counted_named_and_take_nothing_fr
         (daemon.counter("loops_over_limit") + daemon.counter("dropped_input") == 20_000 - 38).then_some(())
     });
     assert!(peak_mb(daemon.pid()) - before < 60, "{} MB more", peak_mb(daemon.pid()) - before);
-    // Those that are named find their places all the same.
+    // Configured loops still get their places.
     let now_ns = stictiond::runtime::clock::now_ns();
     let sample = |t_ns: i64| format!("{{\"t\":{t_ns},\"v\":1}}");
     let samples = daemon.counter("samples");
@@ -248,13 +248,13 @@ fn invented_loops_racing_clocks_and_floods_are_counted_named_and_take_nothing_fr
         put(&format!("{name}/op"), &sample(now_ns));
     }
     wait_for("the named loops", || (daemon.counter("samples") == samples + 2).then_some(()));
-    // Ten years ahead of the clock and of the others: refused, and nobody moves.
+    // Ten years ahead of the clock and of the other loops: refused, and the others are unaffected.
     for k in 0..5 {
         put("FIC102/op", &sample(now_ns + 315_360_000_000_000_000 + k));
     }
     wait_for("the refusal", || (daemon.counter("stamps_ahead") == 5).then_some(()));
     put("FIC102/op", &sample(now_ns + 1_000_000_000));
-    // More than its rate and its burst of a thousand seconds.
+    // Exceeds its rate and its burst of a thousand seconds.
     let flood = format!("[{}1]", "1,".repeat(1999));
     put("FIC101/pv", &flood);
     wait_for("the flood", || (daemon.counter("over_rate") > 900).then_some(()));

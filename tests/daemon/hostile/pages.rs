@@ -1,4 +1,4 @@
-//! Many pages of one loop at a time: streams and windows are limited in number, and the daemon does its work.
+//! Many pages of one loop at once: streams and windows are limited in number, and the daemon keeps working.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -9,7 +9,7 @@ use super::connect_from;
 use crate::live::{Daemon, FAST, alarm_state, ask, command_headers, http, plane, request, sticking, wait_for};
 use zenoh::Wait;
 
-/// The status of the answer that comes first on a stream.
+/// The status of the first response on a stream.
 fn status_of(stream: &mut TcpStream) -> u16 {
     let mut head = [0; 12];
     stream.read_exact(&mut head).unwrap();
@@ -34,7 +34,7 @@ fn two_hundred_pages_of_one_loop_are_limited_and_commands_are_answered() {
     }
     let wanted = [((2, 200), 32), ((2, 429), 18), ((3, 200), 32), ((3, 429), 18), ((4, 429), 50), ((5, 429), 50)];
     assert_eq!(statuses, BTreeMap::from(wanted));
-    // Beside them windows are asked for until the commands are answered, five times by each at least.
+    // Meanwhile, windows are requested until the commands are answered, at least five times by each client.
     let answered = AtomicBool::new(false);
     let window = || {
         let mut seen = Vec::new();
@@ -56,10 +56,10 @@ fn two_hundred_pages_of_one_loop_are_limited_and_commands_are_answered() {
         getters.into_iter().flat_map(|getter| getter.join().unwrap()).collect::<Vec<u16>>()
     });
     let count = |status: u16| seen.iter().filter(|s| **s == status).count();
-    // Two are made at a time and eight wait: the others are refused at once.
+    // Two run at a time and eight wait; the others are refused at once.
     assert!(count(200) > 0 && count(503) > 0 && count(200) + count(503) == seen.len(), "{seen:?}");
     assert_eq!((alarm_state(&bus).as_deref(), daemon.counter("dropped_input")), (Some("acked"), 0));
-    // A page that is closed makes room for another.
+    // Closing a page makes room for another.
     open.clear();
     wait_for("a free stream", || {
         let mut stream = connect_from("127.0.0.4", &daemon.web);

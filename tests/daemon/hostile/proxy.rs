@@ -1,5 +1,5 @@
-//! Commands through a proxy: a plain TCP forwarder adds nothing that tells them from those of this machine, so only the
-//! token and `behind_proxy` stop them.
+//! Commands through a proxy: a plain TCP forwarder leaves nothing that distinguishes them from local ones, so only the token
+//! and `behind_proxy` stop them.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -15,16 +15,16 @@ use zenoh::Wait;
 use crate::live::{Daemon, PREFIX, command_headers, free_port, http, request, skipped, wait_for};
 
 const TOKEN: &str = "a-token-for-this-test";
-/// The name that docs/page.md gives the server.
+/// The server's name in docs/page.md.
 const NAME: &str = "stiction.plant1.example";
-/// Every request that changes something, with a body that is taken.
+/// Every request that changes something, with a valid body.
 const COMMANDS: [(&str, &str); 3] = [
     ("alarm", r#"{"cmd":"shelve","by":"mallory","why":"x","for_s":60}"#),
     ("gap", r#"{"by":"mallory"}"#),
     ("review", r#"{"label":"no_stiction","method":"other","by":"mallory"}"#),
 ];
 
-/// Forwards bytes as they are, as `socat` and load balancers for TCP do; gives the address to call.
+/// Forwards bytes unchanged, like `socat` and TCP load balancers; returns the address to call.
 fn forward(to: &str) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let (address, to) = (listener.local_addr().unwrap().to_string(), to.to_owned());
@@ -42,7 +42,7 @@ fn forward(to: &str) -> String {
     address
 }
 
-/// A daemon with these keys of `[web]`, which knows the loop A.
+/// A daemon with these keys of `[web]` and a loop A.
 fn daemon(dir: &Path, web: &str) -> Daemon {
     let daemon = Daemon::start(dir, &format!("hosts = [{NAME:?}]\n{web}"));
     let bus = daemon.session();
@@ -58,7 +58,7 @@ fn token_file(dir: &Path) -> String {
     format!("token_file = {path:?}\n")
 }
 
-/// The status of every command, sent with these headers.
+/// The status of every command sent with these headers.
 fn sent(stream: impl Fn() -> TcpStream, host: &str, more: &[(&str, &str)]) -> Vec<u16> {
     let send = |(what, body): &(&str, &str)| {
         request(stream(), &["POST", &format!("/api/v1/loops/A/{what}")], &command_headers(host, more), body).0
@@ -87,10 +87,10 @@ fn through_a_plain_tcp_proxy_nobody_commands_without_the_token() {
                 assert_eq!(sent(connect, host, more), [refused; 3], "{keys} token {with_token}, {host}, {more:?}");
             }
         }
-        // Loopback is no way round it.
+        // Loopback is not a way around it.
         assert_eq!(sent(|| TcpStream::connect(&daemon.web).unwrap(), "localhost", &[]), [refused; 3]);
         assert_eq!(state_of_a(&daemon), "normal");
-        // Reading is open, as docs/page.md says.
+        // Reading is open, as docs/page.md states.
         assert_eq!(request(connect(), &["GET", "/api/v1/loops"], &[("Host", NAME)], "").0, 200);
         if with_token {
             let bearer = format!("Bearer {TOKEN}");
@@ -114,7 +114,7 @@ fn without_a_token_a_proxy_that_says_so_and_a_foreign_name_are_refused() {
         assert_eq!(sent(direct, "localhost", &[(header, "x")]), [403; 3], "{header}");
     }
     assert_eq!(state_of_a(&daemon), "normal");
-    // The log says who was refused what, but not each of a flood.
+    // The log states who was refused what, at a limited rate.
     (0..100).for_each(|_| assert_eq!(sent(direct, NAME, &[]), [403; 3]));
     let log = daemon.logged();
     let refused: Vec<&str> = log.lines().filter(|line| line.contains("refused") && line.contains("403")).collect();
@@ -130,7 +130,7 @@ fn without_a_token_a_proxy_that_says_so_and_a_foreign_name_are_refused() {
 fn behind_a_proxy_the_unix_socket_takes_commands_of_whoever_may_open_it() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("web.sock");
-    // One that a killed daemon left.
+    // A socket left by a killed daemon.
     drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
     let daemon = daemon(dir.path(), &format!("behind_proxy = true\nsocket = {path:?}\n"));
     let mode = wait_for("the socket", || {
@@ -161,7 +161,7 @@ fn metrics_and_health_answer_under_known_names_alone() {
     daemon.stop();
 }
 
-/// A running nginx; killed when dropped.
+/// A running nginx, killed on drop.
 struct Nginx(Child);
 
 impl Drop for Nginx {
@@ -177,7 +177,7 @@ fn nginx() -> Option<PathBuf> {
     folders.map(|folder| folder.join("nginx")).find(|file| file.is_file())
 }
 
-/// The block that docs/page.md shows, for these addresses and without TLS, which needs certificates.
+/// The block in docs/page.md, for these addresses and without TLS, which needs certificates.
 fn shown_block(listen: &str, daemon: &str) -> String {
     let docs = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/page.md")).unwrap();
     let block = docs.split("```nginx\n").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
@@ -217,7 +217,7 @@ fn through_the_nginx_of_the_docs_people_read_and_command_with_the_token_alone() 
     let headers = command_headers(NAME, &[("Origin", &origin), ("Authorization", &bearer)]);
     let (status, body) = request(connect(), &["POST", "/api/v1/loops/A/alarm"], &headers, COMMANDS[0].1);
     assert_eq!(status, 200, "{body}");
-    // Events pass as they come.
+    // Events are forwarded as they come.
     let mut stream = connect();
     stream.set_read_timeout(Some(std::time::Duration::from_secs(30))).unwrap();
     write!(stream, "GET /api/v1/events HTTP/1.1\r\nHost: {NAME}\r\n\r\n").unwrap();

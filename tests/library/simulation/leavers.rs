@@ -1,4 +1,4 @@
-//! Loops that leave the plant: they leave the memory, come back with their alarms, and a replay does the same to the byte.
+//! Loops that leave the plant: they are forgotten, return with their alarms, and a replay does the same byte for byte.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -19,7 +19,7 @@ const FOUR: &str = include_str!("../../../recordings/scenarios/four-loops.toml")
 pub const STICKS: &str = "FIC201";
 pub const CALM: &str = "PIC203";
 
-/// Delivers all samples of a loop, later by so much, and does the fits.
+/// Delivers all samples of a loop, shifted by `later_ns`, and does the fits.
 pub fn play(stage: &mut SimDaemon, name: &str, later_ns: i64) {
     let scenario = Scenario::parse(FOUR).unwrap();
     let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
@@ -68,7 +68,7 @@ fn loops_that_left_are_forgotten_and_come_back_and_replay_says_the_same() {
     assert_eq!((shown(&stage, STICKS), shown(&stage, CALM)), (Some(State::Unack), Some(State::Normal)));
     silence(&mut stage, &clock);
     assert_eq!((stage.engine().count(), stage.metrics().loops_forgotten.get(), stage.health().loops), (0, 2, 0));
-    // People still find the alarm of one that left.
+    // The alarm of a loop that has left can still be found.
     let answered = Arc::new(Mutex::new(None));
     let (told, command) =
         (answered.clone(), Command { action: AlarmAction::Ack, by: Some("ann".into()), why: None, for_s: None });
@@ -95,7 +95,7 @@ fn loops_that_left_are_forgotten_and_come_back_and_replay_says_the_same() {
         compared += report.compared;
     }
     assert!(compared > 20, "{compared}");
-    // The next run knows the alarm, and nothing of the loop at rest but what it last said.
+    // The next run knows the alarm, and of the other loop only its last answer.
     let (stage, _) = start(dir.path(), &clock);
     assert_eq!(shown(&stage, STICKS), Some(State::Acked));
 }

@@ -1,8 +1,8 @@
-//! Days of a hundred loops under faults, from a seed: queues, engine, schedule, recorder, store, restore, page,
-//! delivery, gap diagnoses and retention are the daemon's own, on a clock, a disk, a bus and a receiver that the seed moves,
-//! fills, breaks and floods.
+//! Days of a hundred loops under faults, from a seed. Queues, engine, schedule, recorder, store, restore, page, delivery, gap
+//! diagnoses and retention are the daemon's; clock, disk, bus and receiver are controlled by the seed.
 //!
-//! `STICTIOND_SEED=N` runs one seed (a failure names its own), `STICTIOND_SEEDS=N` so many, `STICTIOND_SIM_DAYS=N` so long.
+//! `STICTIOND_SEED=N` runs one seed (a failure names its seed), `STICTIOND_SEEDS=N` that many, `STICTIOND_SIM_DAYS=N` for that
+//! long.
 
 mod control;
 mod disk;
@@ -51,14 +51,14 @@ const MAX_LOOPS: usize = 110;
 const QUEUE: usize = 3000;
 const QUEUE_BYTES: usize = 4_194_304;
 const DAY_STEPS: i64 = 144;
-/// A start that is no whole hour, day or hop.
+/// A start that is not a whole hour, day or hop.
 const START_NS: i64 = 1_700_000_123_000_000_000;
 
 fn number(name: &str) -> Option<u64> {
     std::env::var(name).ok().and_then(|text| text.parse().ok())
 }
 
-/// Names the seed where a run fails.
+/// Prints the seed if a run fails.
 struct Named(u64);
 
 impl Drop for Named {
@@ -104,12 +104,12 @@ struct Figures {
 
 type Answers = Arc<Mutex<Vec<(Asked, Result<Vec<u8>, String>)>>>;
 
-/// Steps between two looks at the recording folder.
+/// Steps between two checks of the recording folder.
 const FOLDER_STEPS: i64 = 36;
-/// What people asked of the gap, and how many were answered.
+/// Results of requested diagnoses.
 type GapAnswers = Arc<Mutex<Vec<Result<Vec<u8>, String>>>>;
 
-/// One diagnosis in three is made, the others break off: each takes as long as hours of the rest.
+/// Computes one diagnosis in three; the others fail, since each takes as long as hours of the rest.
 fn diagnosed(request: &GapRequest) -> Outcome {
     if (request.id.index() as u64 + request.number).is_multiple_of(3) {
         match request.compute(&Serial) {
@@ -120,27 +120,27 @@ fn diagnosed(request: &GapRequest) -> Outcome {
     Outcome::Skipped(SkipReason::Failed, "broke off".to_owned())
 }
 
-/// What this run of the daemon must have counted.
+/// The counts expected of this run of the daemon.
 #[derive(Default)]
 struct Run {
     messages: u64,
     dropped: u64,
     samples_at_most: u64,
     waiting: (usize, usize),
-    /// Messages and bytes that wait by flow, keys whose loop is known, and those that may become so.
+    /// Waiting messages and bytes by flow, keys of known loops, and keys that may become known.
     flows: BTreeMap<String, (usize, usize)>,
     known: BTreeSet<String>,
     new_keys: Vec<String>,
-    /// People who wait for a diagnosis; diagnoses that were taken up, and those of them that were skipped.
+    /// Requested diagnoses; those taken up, and those of them that were skipped.
     gap_asked: u64,
     gaps_done: u64,
     gaps_skipped: u64,
-    /// Step since which the run goes on and the clock was not set.
+    /// Step since which the run has lasted and the clock was not set.
     calm_since: i64,
 }
 
 impl Run {
-    /// The engine has taken all: keys of loops that it has are known from now on.
+    /// The engine has taken everything, so keys of its loops are now known.
     fn taken(&mut self, stage: &SimDaemon) {
         self.waiting = (0, 0);
         self.flows.clear();
@@ -221,12 +221,13 @@ impl Simulation {
         one_in(&mut self.random, n)
     }
 
-    /// A message into the queue, and what must become of it.
+    /// Puts a message into the queue, and notes what must happen to it.
     fn deliver(&mut self, key: &str, payload: &[u8], samples: u64) {
         let bytes = size_of::<Message>() + key.len() + payload.len();
         let run = &mut self.run;
         let (length, held) = run.waiting;
-        // The rule of shares in its own words: a key may hold four times what is free, strangers together as one.
+        // The rule of shares, implemented independently: a key may hold four times what is free, all unknown keys together as
+        // one.
         let flow = if run.known.contains(key) { key } else { "" };
         let of = run.flows.entry(flow.to_owned()).or_default();
         let room = QUEUE_BYTES.checked_sub(held + bytes);
@@ -250,7 +251,7 @@ impl Simulation {
             self.deliver(&sent.key, &sent.payload, sent.samples);
         }
         if self.chance(200) {
-            // Ten times the rate and more, of one key.
+            // A flood on one key, more than ten times its rate.
             let key = format!("{PREFIX}/{}/op", Plant::name(7));
             let size = if self.chance(2) { 3000 } else { 3 };
             let payload = format!("{}1{}", " ".repeat(size), " ".repeat(size));
@@ -263,11 +264,11 @@ impl Simulation {
         self.stage.turn();
         self.run.taken(&self.stage);
         self.oracle.follow(self.stage.published());
-        // Refusals come at once, and are judged by the state of this moment.
+        // Refusals come at once, and are judged by the current state.
         self.answered(true);
         let fits = if step < self.worker_stalls { 0 } else { 2 * LOOPS };
         let seed = self.seed;
-        // One fit in three hundred breaks off.
+        // One fit in three hundred fails.
         self.stage.work(fits, |name, r| (r.seq % 300 != 7).then(|| scripted(seed, name, r)));
         self.oracle.follow(self.stage.published());
         self.diagnose();
@@ -296,7 +297,7 @@ impl Simulation {
         }
     }
 
-    /// A person asks for a diagnosis now and then; those that wait are made.
+    /// A person sometimes requests a diagnosis; waiting ones are run.
     fn diagnose(&mut self) {
         if self.chance(20) {
             let name = Plant::name(below(&mut self.random, LOOPS as u32) as usize);
@@ -320,7 +321,7 @@ impl Simulation {
         self.figures.gaps_refused += answers.iter().filter(|answer| answer.is_err()).count() as u64;
     }
 
-    /// The receiver outside the bus has its turn.
+    /// Lets the receiver outside the bus work.
     fn send_out(&mut self) {
         let stored = self.stage.send_out();
         self.account.published(std::mem::take(&mut self.oracle.alarms));
@@ -330,14 +331,14 @@ impl Simulation {
         }
     }
 
-    /// The retention worker has its turn.
+    /// Lets the retention worker work.
     fn keep_folder(&mut self, step: i64) {
         if step % FOLDER_STEPS != 0 || self.disk.is_off() {
             return;
         }
         let before = self.folder.look();
         self.stage.keep_folder();
-        // Where the clock jumps or a run starts, nothing is removed by age for a day.
+        // After a clock jump or a start, nothing is removed by age for a day.
         let calm = step - self.run.calm_since > DAY_STEPS + 2 * FOLDER_STEPS;
         self.folder.compare(&before, self.clock.now_ns(), calm);
     }
@@ -374,7 +375,7 @@ impl Simulation {
         }
     }
 
-    /// A person's command, of which no two wait for one loop.
+    /// Sends a person's command; at most one waits for each loop.
     fn ask(&mut self) {
         const ALL: [&str; 9] =
             ["ack", "ack", "ack", "shelve", "unshelve", "suppress", "unsuppress", "out_of_service", "in_service"];
@@ -392,7 +393,7 @@ impl Simulation {
         }
     }
 
-    /// What is answered is on the disk, or says that it is not; who died in between answered nobody.
+    /// Checks replies: the change is on disk, or the reply says that it is not. A daemon that was killed first did not reply.
     fn answered(&mut self, alive: bool) {
         for (asked, result) in std::mem::take(&mut *self.answers.lock().unwrap()) {
             match result {
@@ -414,9 +415,9 @@ impl Simulation {
         assert_eq!((m.messages.get(), m.dropped_input.get()), (self.run.messages, self.run.dropped), "step {step}");
         assert!(m.samples.get() <= self.run.samples_at_most, "step {step}");
         assert!(self.stage.engine().ids().len() <= MAX_LOOPS);
-        // One state a loop waits at most, and notes of the recordings.
+        // At most one state waits for each loop, plus notes about the recordings.
         assert!(self.stage.waiting().1 <= MAX_LOOPS + 300);
-        // Everything that was handed to the recorder is on the disk, lost and counted, or in the open chunk.
+        // Everything handed to the recorder is on disk, counted as lost, or in the open chunk.
         let taken = m.samples.get() - m.over_rate.get() - m.stamps_ahead.get();
         let windows = 2 * m.estimates.get() + m.alarms.get() + m.fits_skipped.get();
         let gaps = self.run.gaps_done + self.stage.gaps_waiting() as u64 + m.gaps.get() + self.run.gaps_skipped;
@@ -432,7 +433,7 @@ impl Simulation {
             self.oracle.compare_page(&self.stage, self.clock.now_ns());
         }
         let mut faults = self.stage.faults();
-        // That is the disk of the machine that runs the test.
+        // This fault concerns the real disk of the machine that runs the test.
         faults.retain(|fault| !fault.contains("nearly full"));
         let well = self.disk.mode() == Mode::Well && !self.disk.is_off();
         assert!(well || !faults.is_empty() || self.stage.metrics().samples.get() == 0, "a fault that nobody names");
@@ -452,7 +453,7 @@ impl Simulation {
         f.gaps += m.gaps.get();
     }
 
-    /// What a run has recorded by its own count is in its files.
+    /// Checks that the files of a run contain everything that it counted as recorded.
     fn look_into(&self, run_id: &str, recorded: u64) {
         if self.folder.has_touched(run_id) {
             return;
@@ -476,7 +477,7 @@ impl Simulation {
         assert!(found >= recorded, "run {run_id} recorded {recorded} messages, {found} can be read");
     }
 
-    /// kill -9, or the power goes; then it starts again.
+    /// Ends with kill -9 or a power cut, then starts again.
     fn end_life(&mut self, power: bool) {
         self.sum_up();
         self.figures.power_cuts += u64::from(power);
@@ -488,7 +489,7 @@ impl Simulation {
 
     fn restart_in_order(&mut self) {
         let well = self.disk.mode() == Mode::Well;
-        // Windows without a fit say so at the end.
+        // Windows without a fit get their documents at the end.
         let published = self.stage.finish();
         self.oracle.follow(published.into_iter());
         self.account.published(std::mem::take(&mut self.oracle.alarms));
@@ -503,7 +504,7 @@ impl Simulation {
     }
 
     fn start(&mut self) {
-        // A machine that comes up again with a disk that is well: else nothing could be compared.
+        // The disk works when the machine is back; otherwise nothing could be compared.
         self.disk.set(Mode::Well);
         self.disk_well_again = 0;
         self.figures.restarts += 1;
@@ -552,7 +553,7 @@ fn days_of_a_hundred_loops_under_faults() {
         let started = Instant::now();
         let figures = simulate(seed, days);
         println!("seed {seed}, {days} days in {:.1} s: {figures:?}", started.elapsed().as_secs_f64());
-        // The faults were there: a simulation in which nothing happens proves nothing.
+        // Check that the faults occurred: a simulation without events proves nothing.
         if days >= 7 && seed == 1 {
             assert!(figures.restarts > 2 && figures.power_cuts > 0 && figures.disk_faults > 0 && figures.alarms > 0);
             assert!(figures.acknowledged > 5 && figures.dropped > 0 && figures.skipped > 0 && figures.lost > 0);

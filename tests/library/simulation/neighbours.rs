@@ -1,4 +1,4 @@
-//! Gap diagnoses with neighbours: offered by area or as the loop upstream, recorded, and replayed to the byte.
+//! Gap diagnoses with neighbours, offered by area or as the upstream loop: recorded, and replayed byte for byte.
 
 use std::sync::{Arc, Mutex};
 
@@ -20,7 +20,7 @@ const TARGET: &str = "TARGET";
 const DRIVER: &str = "DRIVER";
 const FAR: &str = "FAR";
 
-/// Samples of all loops in the order of their times.
+/// Sends the samples of all loops in order of time.
 pub fn play(stage: &mut SimDaemon, loops: &[(&str, &Record)]) {
     let mut samples: Vec<(i64, String, f64)> = Vec::new();
     for (name, record) in loops {
@@ -87,7 +87,7 @@ fn a_diagnosis_that_nobody_asked_for_is_offered_the_loop_upstream_and_names_it()
         format!("[gap]\nbudget_evaluations = 3000\n[[loop]]\nname = \"{TARGET}\"\nupstream = [\"{DRIVER}\"]\n");
     let loops = vec![wired(DRIVER, 18.0, None, 1), wired(TARGET, 10.0, Some((0, 0.8)), 2)];
     let mut site = Site::start(dir.path(), ["", &settings], loops);
-    // The loop's own model is known by the time that the valve upstream begins to stick.
+    // The loop's own model is known before the upstream valve begins to stick.
     let plan: [Work; 2] = [(0, TARGET, STICKS), (7, DRIVER, STICKS)];
     let gaps: Vec<Value> = (0..12).flat_map(|hop| site.hop(hop, &plan).gaps).collect();
     let of_target: Vec<&Value> = gaps.iter().filter(|gap| gap["loop"] == TARGET).collect();

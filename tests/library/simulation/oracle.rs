@@ -1,4 +1,4 @@
-//! What must hold, kept by other means than the daemon's: alarms by the model, messages by counting.
+//! Expected results, kept independently of the daemon: alarms by the model, messages by counting.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,7 +14,7 @@ use crate::isa::Model;
 pub const RAISE: [usize; 2] = [2, 3];
 const CLASSES: [&str; 3] = ["weak", "moderate", "strong"];
 
-/// A command that was sent and not answered yet.
+/// An unanswered command.
 #[derive(Debug, Clone)]
 pub struct Asked {
     pub loop_name: String,
@@ -22,11 +22,11 @@ pub struct Asked {
     pub for_s: Option<u64>,
 }
 
-/// One loop: every state since the last one that is known to be on the disk, oldest first.
+/// One loop: every state since the last one known to be on disk, oldest first.
 #[derive(Debug, Default)]
 struct Known {
     states: Vec<Model>,
-    /// The window asks for a word of the alarm, which must come next.
+    /// Whether the last window requires an alarm document, which must come next.
     owed: bool,
 }
 
@@ -39,24 +39,24 @@ impl Known {
 #[derive(Default)]
 pub struct Oracle {
     loops: BTreeMap<String, Known>,
-    /// Commands under way, in the order in which they were sent.
+    /// Unanswered commands, in the order in which they were sent.
     pub asked: Vec<Asked>,
-    /// What went out, summed up: the same for the same seed.
+    /// Digest of all publications: equal for equal seeds.
     pub digest: u64,
     pub raised: u64,
     pub skipped: u64,
-    /// Loop and identity of alarms that went out since somebody took them.
+    /// Loop and identity of the alarms published since they were last taken.
     pub alarms: Vec<(String, String)>,
-    /// End of each loop's newest window in this run, ns, and of all windows of the runs before.
+    /// End of each loop's newest window in this run, ns, and of all windows of earlier runs.
     newest: BTreeMap<String, i64>,
     earlier: BTreeMap<String, BTreeSet<i64>>,
 }
 
-/// What a window says by its published document, by the rule of the configuration.
+/// The vote of a window, from its published document and the configured rule.
 fn vote_of(document: &Value) -> (Option<char>, usize) {
     let rank =
         |class: &Value| class.as_str().map(|name| CLASSES.iter().position(|c| *c == name).map_or(0, |at| at + 1));
-    // Without the valve's range a share of OP's span is no reason for the highest class.
+    // Without OP's range, a fraction of OP's span does not justify the highest class.
     let class = rank(&document["severity_by_range"]).or_else(|| rank(&document["strength_by_span"]).map(|c| c.min(2)));
     let class = class.unwrap_or(0);
     let counts = document["counted_by"].is_string();
@@ -70,7 +70,7 @@ fn vote_of(document: &Value) -> (Option<char>, usize) {
     (vote, class)
 }
 
-/// Whether a stored alarm is the model's, memory of its windows included.
+/// Whether a stored alarm matches the model, including its memory of windows.
 fn agrees(model: &Model, alarm: &Alarm) -> bool {
     let json = serde_json::to_value(alarm).unwrap();
     let bits = |kind: char| {
@@ -78,7 +78,7 @@ fn agrees(model: &Model, alarm: &Alarm) -> bool {
         votes.filter(|(_, vote)| **vote == kind).fold(0_u64, |bits, (place, _)| bits | 1 << place)
     };
     let aside = |place: &str| json["aside"][place].as_bool().unwrap_or(false);
-    // What stands behind the place where people put it.
+    // The state behind any inhibition.
     let behind = Model { shelf_ends_ns: None, suppressed: false, out_of_service: false, ..model.clone() };
     let class = if model.active { model.class.checked_sub(1).map(|at| CLASSES[at]) } else { None };
     model.shown() == alarm.shown().name()
@@ -94,11 +94,11 @@ fn agrees(model: &Model, alarm: &Alarm) -> bool {
 }
 
 impl Oracle {
-    /// Follows what went out.
+    /// Follows publications.
     pub fn follow(&mut self, publications: impl Iterator<Item = Publication>) {
         for publication in publications {
             let mut document: Value = serde_json::from_slice(publication.document.as_deref().unwrap()).unwrap();
-            // It hangs on the folder's name.
+            // The hash depends on the folder's name.
             document.as_object_mut().unwrap().remove("config_hash");
             if matches!(publication.kind, Kind::Estimate | Kind::Alarm) {
                 let text = format!("{}{document}", publication.key);
@@ -150,7 +150,7 @@ impl Oracle {
         assert_eq!(document["active"], model.active, "{document}");
     }
 
-    /// A command was refused: the model must refuse it too, unless the alarm's state is not why.
+    /// A command was refused: the model must refuse it too, unless the reason is not the alarm's state.
     pub fn refused(&mut self, asked: &Asked, why: &str) {
         if let Some(place) = self.asked.iter().position(|a| a.loop_name == asked.loop_name) {
             self.asked.remove(place);
@@ -160,14 +160,14 @@ impl Oracle {
         assert!(!fits || why.contains("no loop"), "{asked:?} was refused: {why}");
     }
 
-    /// All is on the disk: no crash may take it back.
+    /// Everything is on disk, and no crash may undo it.
     pub fn stored(&mut self) {
         for known in self.loops.values_mut() {
             known.states.drain(..known.states.len().saturating_sub(1));
         }
     }
 
-    /// Whether each loop's alarm stands where the model has it.
+    /// Checks that each loop's alarm matches the model.
     pub fn compare(&self, stage: &SimDaemon) {
         for id in stage.engine().ids() {
             let name = stage.engine().name(id);
@@ -177,7 +177,7 @@ impl Oracle {
         }
     }
 
-    /// Whether the page shows each loop as the model has it, and no other.
+    /// Checks that the page shows each loop as in the model, and no other.
     pub fn compare_page(&self, stage: &SimDaemon, now_ns: i64) {
         let rows = stage.overview().rows_after(0, None, usize::MAX, now_ns);
         assert_eq!(rows.len(), stage.engine().ids().len(), "one row a loop");
@@ -187,7 +187,7 @@ impl Oracle {
             assert_eq!((row.alarm_state.name(), row.active), (model.shown(), model.active), "{}", row.name);
             match self.newest.get(&row.name) {
                 Some(end_ns) => assert_eq!(row.window_end_ms, Some(ms_from_ns(*end_ns)), "{}", row.name),
-                // What an earlier run recorded of it, if that can be read.
+                // From an earlier run's recording, if it can be read.
                 None => {
                     let earlier = self.earlier.get(&row.name).into_iter().flatten();
                     let was_told = |end_ms| earlier.into_iter().any(|end_ns| ms_from_ns(*end_ns) == end_ms);
@@ -197,7 +197,7 @@ impl Oracle {
         }
     }
 
-    /// After a restart: each loop is where it was when all was stored last, or later; never before.
+    /// After a restart, each loop must be in its last stored state or a later one, never an earlier one.
     pub fn restarted(&mut self, stage: &mut SimDaemon) {
         self.asked.clear();
         self.newest.clear();
@@ -207,7 +207,7 @@ impl Oracle {
             let place = known.states.iter().rposition(|model| agrees(model, &alarm));
             let first = known.states.first().cloned().unwrap_or_default();
             let Some(place) = place else {
-                // Nothing was stored yet: it may begin anew.
+                // Nothing was stored yet, so it may start from nothing.
                 let unborn = first.informative.len() <= 1 && agrees(&Model::default(), &alarm);
                 assert!(unborn, "{name} is where it never was since it was stored: {:?}\n{alarm:?}", known.states);
                 known.states.clear();

@@ -1,4 +1,4 @@
-//! The plant and everybody else on the bus: samples with every fault that a gateway or a stranger can add.
+//! The plant and all other senders on the bus: samples with every fault that a gateway or stranger can add.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::Rng;
@@ -7,7 +7,7 @@ use rand_chacha::rand_core::Rng;
 pub const STEP_NS: i64 = 600_000_000_000;
 const DAY_NS: i64 = 86_400_000_000_000;
 
-/// One message on its way, and how many samples it holds at most.
+/// One message under way, and the most samples it can contain.
 pub struct Sent {
     pub key: String,
     pub payload: Vec<u8>,
@@ -19,11 +19,11 @@ pub struct Plant {
     pub loops: usize,
     /// Offsets of the loops' clocks, ns.
     offsets_ns: Vec<i64>,
-    /// Steps for which the racing loop still races, and how far it has come.
+    /// Remaining steps of the loop with racing stamps, and how far its stamps have come.
     racing: (u32, i64),
-    /// What comes a step late.
+    /// Messages that arrive one step late.
     late: Vec<Sent>,
-    /// Batches that some loops' gateways gather for an hour, OP and PV.
+    /// Batches that some loops' gateways collect for an hour, OP and PV.
     gathered: Vec<[Vec<String>; 2]>,
 }
 
@@ -46,12 +46,12 @@ impl Plant {
         format!("L{index:03}")
     }
 
-    /// What the plant sends in a step, in the order in which it arrives.
+    /// The plant's messages in a step, in order of arrival.
     pub fn step(&mut self, random: &mut ChaCha8Rng, step: i64, start_ns: i64) -> Vec<Sent> {
         let mut out = std::mem::take(&mut self.late);
         for index in 0..self.loops {
             if one_in(random, 50_000) {
-                // A clock on site is set: by hours or by years, either way.
+                // A clock on site is set forwards or backwards, by hours or by years.
                 let far = if one_in(random, 4) { 3650 * DAY_NS } else { DAY_NS / 4 };
                 self.offsets_ns[index] += if one_in(random, 2) { far } else { -far };
             }
@@ -65,7 +65,7 @@ impl Plant {
         self.put_racing_stamps(random, step, start_ns, &mut out);
         strangers(random, self.prefix, &mut out);
         if one_in(random, 3) {
-            // Disorder on the way.
+            // Messages overtake each other.
             for k in (1..out.len()).rev() {
                 let near = k.saturating_sub(below(random, 40) as usize);
                 out.swap(k, near);
@@ -100,12 +100,12 @@ impl Plant {
         }
     }
 
-    /// Whether the first loop's stamps race now.
+    /// Whether the first loop's stamps are racing.
     pub const fn has_racing_stamps(&self) -> bool {
         self.racing.0 > 0
     }
 
-    /// Now and then the first loop's stamps race: from years ago, twelve hours a sample.
+    /// Sometimes the first loop's stamps race: from years ago, twelve hours per sample.
     fn put_racing_stamps(&mut self, random: &mut ChaCha8Rng, step: i64, start_ns: i64, out: &mut Vec<Sent>) {
         if self.racing.0 == 0 {
             if one_in(random, 300) {
@@ -125,7 +125,7 @@ impl Plant {
     }
 }
 
-/// Keys that mean nothing, loops that nobody has, and bytes of all kinds.
+/// Meaningless keys, unknown loops, and bytes of all kinds.
 fn strangers(random: &mut ChaCha8Rng, prefix: &str, out: &mut Vec<Sent>) {
     for _ in 0..below(random, 4) {
         let n = below(random, 1_000_000);
@@ -134,7 +134,7 @@ fn strangers(random: &mut ChaCha8Rng, prefix: &str, out: &mut Vec<Sent>) {
             1 => format!("{prefix}/\u{1b}[2J{n}/op"),
             _ => format!("{prefix}/stranger{n}/op"),
         };
-        // Some of it reads as numbers.
+        // Some of it can be read as numbers.
         let payload: Vec<u8> = (0..below(random, 64)).map(|_| below(random, 256) as u8).collect();
         out.push(Sent { samples: payload.len() as u64, key, payload });
     }

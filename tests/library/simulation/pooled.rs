@@ -1,4 +1,4 @@
-//! Diagnoses that are decided together with earlier ones of their loop: asked for, recorded, and replayed to the byte.
+//! Diagnoses that are decided together with earlier ones of their loop: requested, recorded, and replayed byte for byte.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -20,7 +20,7 @@ use super::refill::replays_to_the_byte;
 const NAME: &str = "FIC101";
 const DAY: Duration = Duration::from_secs(86_400);
 
-/// Asks for a diagnosis and makes it: the document, or why there is none.
+/// Requests a diagnosis and runs it; returns the document, or the reason for refusal.
 fn ask(stage: &mut SimDaemon, pool: bool) -> Result<Value, String> {
     ask_and_change(stage, pool, |_| ())
 }
@@ -65,7 +65,7 @@ fn a_diagnosis_is_decided_with_earlier_ones_where_a_person_wants_it_and_replays_
 
     next_day(&mut stage);
     assert!(ask(&mut stage, true).unwrap_err().contains("ask without pool"));
-    // A number that no recording can give back: that window is not remembered.
+    // A number that no recording can restore, so that window is not remembered.
     ask_and_change(&mut stage, false, |made| {
         made.own.as_mut().unwrap().evidence.basis.noise.over_base = f64::INFINITY;
     })
@@ -89,7 +89,7 @@ fn a_diagnosis_is_decided_with_earlier_ones_where_a_person_wants_it_and_replays_
     let of_first = (first["window"]["end_ns"].clone(), first["cause"]["id"].clone(), false.into());
     assert_eq!((second_windows.len(), &second_windows[0], &third_windows[0]), (2, &of_first, &of_first));
     assert_eq!((&second_windows[1].0, &second_windows[1].2), (&second["window"]["end_ns"], &true.into()));
-    // What a window came to by itself is remembered, not what was decided from several.
+    // A window's own result is remembered, not the joint decision.
     assert_eq!((third_windows.len(), &third_windows[1].1), (3, &second_windows[1].1));
     stage.finish();
     drop(stage);

@@ -1,4 +1,4 @@
-//! A receiver outside the bus that is away, refuses documents and comes back, and the account of what it must get.
+//! A receiver outside the bus that is down, refuses documents and recovers, and the account of what it must get.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -12,15 +12,15 @@ use stictiond::daemon::sink::deliver::{Failure, Item, MakeTarget, Target};
 #[derive(Default)]
 struct State {
     away: bool,
-    /// Loop and identity of what it took, in order.
+    /// Loop and identity of accepted documents, in order.
     got: Vec<(String, String)>,
 }
 
-/// The receiver; copies are the same one.
+/// The receiver; clones share it.
 #[derive(Clone, Default)]
 pub struct Receiver(Arc<Mutex<State>>);
 
-/// What it answers to a document, always: one in thirty is poison, one in thirty refused at once.
+/// Its fixed answer to a document: one in thirty is poison, one in thirty is refused at once.
 fn verdict(id: &str) -> u8 {
     u8::from_str_radix(&short_hash(id.as_bytes())[..2], 16).unwrap() % 30
 }
@@ -54,14 +54,14 @@ impl Receiver {
     }
 }
 
-/// What was published, and what became of it.
+/// The published documents, and what happened to them.
 #[derive(Default)]
 pub struct Account {
-    /// Identities by loop, in the order in which they were published.
+    /// Identities by loop, in order of publication.
     published: BTreeMap<String, Vec<String>>,
-    /// Published and perhaps not in the store yet: a crash may cost them.
+    /// Published but perhaps not stored yet: a crash may lose them.
     unsure: BTreeSet<String>,
-    /// In the store: the receiver gets them, whatever happens, or the dead-letter file does.
+    /// Stored: they must reach the receiver or the dead-letter file, whatever happens.
     due: BTreeSet<String>,
     pub delivered: u64,
     pub dead: u64,
@@ -75,7 +75,7 @@ impl Account {
         }
     }
 
-    /// The receivers had their turn; with `stored` the store holds all that waits.
+    /// After the receivers' turn; with `stored`, the store has everything that waits.
     pub fn after_turn(&mut self, stored: bool) {
         if stored {
             self.due.append(&mut self.unsure);
@@ -86,7 +86,8 @@ impl Account {
         self.unsure.clear();
     }
 
-    /// Compares: nothing is invented, the order within each loop is kept, and where nothing waits all has arrived.
+    /// Checks that nothing is invented, that the order within each loop is kept, and that everything has arrived if nothing
+    /// waits.
     pub fn compare(&mut self, receiver: &Receiver, stage: &SimDaemon, folder: &Path) {
         let got = receiver.0.lock().unwrap().got.clone();
         let mut last: BTreeMap<&str, usize> = BTreeMap::new();

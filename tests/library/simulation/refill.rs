@@ -1,4 +1,4 @@
-//! A start goes on with the loops' windows from the recordings, and every run replays to the byte.
+//! A start continues the loops' windows from the recordings, and every run replays byte for byte.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ use stictiond::runtime::clock::Clock;
 
 const NAMES: [&str; 2] = ["A", "B"];
 
-/// A plant of seconds, and the daemon that watches it.
+/// A plant with a sample a second, and the daemon that watches it.
 struct Site<'a> {
     dir: &'a Path,
     clock: Clock,
@@ -50,7 +50,7 @@ impl<'a> Site<'a> {
         self.now_s += seconds;
     }
 
-    /// All loops send for so many seconds. Recordings reach the disk but for the last ones.
+    /// All loops send for this many seconds. Recordings reach the disk except for the last `unwritten` seconds.
     fn send(&mut self, names: &[&str], seconds: i64, unwritten: i64) {
         for left in (0..seconds).rev() {
             let stage = self.stage.as_mut().unwrap();
@@ -74,13 +74,13 @@ impl<'a> Site<'a> {
         }
     }
 
-    /// Kill -9.
+    /// Kills the daemon as by kill -9.
     fn kill(&mut self) -> i64 {
         self.stage = None;
         self.now_s
     }
 
-    /// The windows of a loop that end after a moment.
+    /// The windows of a loop that end after a given second.
     fn windows_after(&self, name: &str, second: i64) -> Vec<[i64; 2]> {
         self.windows[name].iter().copied().filter(|[_, end]| *end > second).collect()
     }
@@ -90,7 +90,7 @@ fn metadata(file: &Path) -> RunMetadata {
     RunMetadata::of(file, RecordingReader::open(file).unwrap().metadata()).unwrap()
 }
 
-/// Replays files, the last of which is compared.
+/// Replays files and compares the last one.
 fn compare_last(files: &[PathBuf]) -> usize {
     let last = files.last().unwrap();
     let mut replay = ParallelReplay::new(&metadata(last).config, Some("stage"), false);
@@ -100,7 +100,7 @@ fn compare_last(files: &[PathBuf]) -> usize {
     report.compared
 }
 
-/// Every chain of files as a whole, for a folder of one run.
+/// Replays every chain of files as a whole, in a folder of one run.
 pub fn chains_replay_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;
     for chain in chains_of(dir).unwrap() {
@@ -114,7 +114,7 @@ pub fn chains_replay_to_the_byte(dir: &Path) -> usize {
     compared
 }
 
-/// Every run as the command replays a folder: after as much of the earlier files as its windows need.
+/// Replays every run as the command replays a folder: after as much of the earlier files as its windows need.
 pub fn runs_replay_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;
     for chain in chains_of(dir).unwrap() {
@@ -129,7 +129,7 @@ pub fn runs_replay_to_the_byte(dir: &Path) -> usize {
     compared
 }
 
-/// Every file by itself, and every chain of files, as the command does.
+/// Replays every file separately, and every chain of files, as the command does.
 pub fn replays_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;
     for chain in chains_of(dir).unwrap() {
@@ -150,7 +150,7 @@ fn a_killed_daemon_goes_on_with_its_windows_makes_none_twice_and_replays_to_the_
     site.start(60.0);
     site.send(&NAMES, 700, 50);
     let mut killed = site.kill();
-    // Kills just after a start and with a window under way, and once a normal end.
+    // Kills just after a start and in the middle of a window, and one normal end.
     for unwritten in [0, 70, 20] {
         site.pass(10);
         site.start(60.0);
@@ -169,7 +169,7 @@ fn a_killed_daemon_goes_on_with_its_windows_makes_none_twice_and_replays_to_the_
         }
         killed = site.kill();
     }
-    // Another hop makes other windows: they begin anew. So does a loop that was silent for longer than a window.
+    // With another hop the windows are different, so they start empty. The same holds after a silence longer than a window.
     for (hop_s, silent) in [(30.0, 10), (30.0, 8 * 86_400)] {
         site.pass(silent);
         site.start(hop_s);

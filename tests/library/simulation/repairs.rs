@@ -1,7 +1,7 @@
-//! Days of a plant whose valves begin to stick and are repaired in turn: groups come and go, each valve that sticks has its
+//! Days of a plant with valves that begin to stick and are repaired in turn: groups come and go, each sticking valve has its
 //! alarm until it is repaired, and healthy loops have none.
 //!
-//! `STICTIOND_LONG=1` plays three rounds in place of one.
+//! `STICTIOND_LONG=1` plays three rounds instead of one.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -34,7 +34,7 @@ const SP: f64 = 61.0;
 pub const STICKS: [f64; 2] = [5.0, 2.0];
 const HEALTHY: [f64; 2] = [0.0; 2];
 
-/// A loop, which other loop's flow acts on it, and how much.
+/// A loop, with the other loop whose flow acts on it, and how strongly.
 pub struct Wired {
     name: &'static str,
     closed: ClosedLoop,
@@ -66,10 +66,10 @@ pub fn wired(name: &'static str, tau: f64, from: Option<(usize, f64)>, seed: u64
     Wired { name, closed: ClosedLoop::new(model, 0.0, SP, seed), from, valve: HEALTHY, stem: REST_OP }
 }
 
-/// What happens to a valve at the beginning of a hop.
+/// A change of a valve at the beginning of a hop.
 pub type Work = (usize, &'static str, [f64; 2]);
 
-/// Hops of one round of work: A1 sticks first and moves A4's loop, whose own valve begins to stick, too; then B1 sticks.
+/// Hops in one round: A1 sticks first and drives A4's loop, whose own valve begins to stick too; then B1 sticks.
 const ROUND: usize = 18;
 
 fn plan(rounds: usize) -> Vec<Work> {
@@ -84,18 +84,18 @@ fn plan(rounds: usize) -> Vec<Work> {
     (0..rounds).flat_map(|round| one.map(|(hop, name, valve)| (round * ROUND + hop, name, valve))).collect()
 }
 
-/// What is seen after a hop.
+/// Observations after a hop.
 #[derive(Debug)]
 pub struct Seen {
     states: BTreeMap<&'static str, State>,
-    /// Groups that there are now, and the latest one with its members and its source.
+    /// Number of current groups, and the latest one with its members and its source.
     groups: i64,
     latest: Option<Value>,
-    /// Diagnoses that were published, none of which a person asked for.
+    /// Published diagnoses, all of them automatic.
     pub gaps: Vec<Value>,
 }
 
-/// A daemon, and loops that are simulated for it.
+/// A daemon, and the loops simulated for it.
 pub struct Site {
     pub stage: SimDaemon,
     clock: Clock,
@@ -104,7 +104,7 @@ pub struct Site {
 }
 
 impl Site {
-    /// `windows` come after the hop, `settings` after those of site, windows and alarms.
+    /// `windows` is inserted after the hop, `settings` after those of site, windows and alarms.
     pub fn start(dir: &Path, [windows, settings]: [&str; 2], loops: Vec<Wired>) -> Self {
         let text = format!(
             "[site]\nprefix = \"p\"\n[window]\nhop_s = {HOP_S}.0\n{windows}[alarm]\nraise = [2, 2]\n\
@@ -123,7 +123,8 @@ impl Site {
         for one in &mut self.loops {
             let push = one.from.map_or(0.0, |(from, by)| by * flows[from]);
             let Wired { valve: [fs, fd], stem, .. } = one;
-            // The model's own valve follows OP, and a valve that sticks adds what it lags behind: so it may be repaired.
+            // The model's own valve follows OP exactly; the lag of the sticking valve is added outside, so that it can be
+            // repaired.
             let scan = one.closed.step_with(SP, 0.0, |op| {
                 *stem = he_step(*stem, op, *fs, *fd);
                 push + *stem - op
@@ -137,7 +138,7 @@ impl Site {
         self.scans += 1;
     }
 
-    /// A hop with the work that is due at its beginning.
+    /// Simulates a hop, with the work that is due at its beginning.
     pub fn hop(&mut self, hop: usize, plan: &[Work]) -> Seen {
         for (_, name, valve) in plan.iter().filter(|(at, ..)| *at == hop) {
             self.loops.iter_mut().filter(|one| one.name == *name).for_each(|one| one.valve = *valve);
@@ -170,7 +171,7 @@ impl Seen {
         self.states[name] == State::Unack
     }
 
-    /// The source that the latest group names, where the loop is a member of it.
+    /// The source named by the latest group, if the loop is a member.
     fn source_of(&self, name: &str) -> Option<&str> {
         let group = self.latest.as_ref()?;
         let is_member = group["members"].as_array()?.iter().any(|member| member == name);
@@ -180,7 +181,7 @@ impl Seen {
 
 const NEVER_STICK: [&str; 3] = ["A2", "B3", "C1"];
 
-/// What a round must have shown.
+/// The observations required of a round.
 fn check(round: &[Seen]) {
     for (hop, seen) in round.iter().enumerate() {
         let alarmed: Vec<&&str> = NEVER_STICK.iter().filter(|name| seen.is_active(name)).collect();

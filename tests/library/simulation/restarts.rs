@@ -1,4 +1,4 @@
-//! What a start makes of loops that are silent, had left, were removed meanwhile, or were recorded by somebody else.
+//! What a start makes of loops that are silent, had left, were removed in the meantime, or were recorded by another daemon.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -29,7 +29,7 @@ fn start(text: &str, clock: &Clock) -> SimDaemon {
     SimDaemon::start(Config::parse(text).unwrap(), text, clock, &disk, no_receiver).unwrap()
 }
 
-/// A loop sends a minute of samples up to the clock's now, one a second.
+/// A loop sends a minute of samples up to the current time, one a second.
 fn send(stage: &mut SimDaemon, name: &str, clock: &Clock) {
     let now_s = clock.now_ns() / 1_000_000_000;
     for t_s in now_s - 60..now_s {
@@ -78,7 +78,7 @@ fn where_places_are_few_a_loop_that_left_obeys_and_takes_none_from_those_that_ar
     command(&mut stage, "A", "out_of_service").unwrap();
     pass(&mut stage, &clock, 601);
     assert_eq!(stage.engine().count(), 0, "it left");
-    // Two others come in its place, one of which is put aside.
+    // Two others take its place, one of which is put aside.
     for _ in 0..6 {
         pass(&mut stage, &clock, 60);
         send(&mut stage, "M", &clock);

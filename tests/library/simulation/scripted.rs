@@ -1,4 +1,4 @@
-//! Assessments drawn from the seed in place of fits, so that days of a hundred loops take seconds.
+//! Assessments drawn from the seed instead of fits, so that days of a hundred loops take seconds.
 
 use stiction::core::ident::region::Size;
 use stiction::core::units::Moment;
@@ -11,7 +11,7 @@ use super::plant::STEP_NS;
 
 const CLASSES: [Size; 3] = [Size::Weak, Size::Moderate, Size::Strong];
 
-/// One loop in ten sticks for days; the others do not.
+/// One loop in ten sticks for days; the others never do.
 pub fn scripted(seed: u64, name: &str, request: &Request) -> Assessment {
     let draw = |what: &str| {
         let hash = short_hash(format!("{seed} {name} {what}").as_bytes());

@@ -1,4 +1,4 @@
-//! Commands on exports, at the process boundary.
+//! Commands that read exports, run as programs.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use super::data::{Form, local, utc};
 use crate::common::program::{expect, stderr, stdout};
 
-/// A triangle against a square, as a sticking valve draws them.
+/// A triangle with a square, as produced by a sticking valve.
 fn sticking(tag: &str, rows: usize) -> String {
     let row = |k: usize| {
         let t = (k % 60) as f64 / 60.0;
@@ -71,7 +71,7 @@ fn every_command_that_takes_a_file_takes_an_export_and_says_so_in_one_line() {
     one_line(&stderr(&expect(0, &[&["convert", &export, &out][..], &tz].concat())));
     assert!(fs::read_to_string(&out).unwrap().starts_with("t,op,pv\n1767600000,47,19\n"));
     one_line(&stderr(&expect(0, &[&["gap", &export, "--budget", "0.2"][..], &tz].concat())));
-    // Nobody answers there; the file has been read by then.
+    // Nothing listens there; by then the file has been read.
     one_line(&stderr(&expect(
         1,
         &[&["play", &export, "--connect", "tcp/127.0.0.1:1", "--prefix", "p"][..], &tz].concat(),
@@ -85,7 +85,7 @@ fn every_command_that_takes_a_file_takes_an_export_and_says_so_in_one_line() {
 fn the_hours_that_clocks_are_moved_over_are_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("autumn.csv");
-    // 2026-10-25: 02:00 to 03:00 comes twice in Berlin. 294 days after the data's start, from midnight UTC on.
+    // On 2026-10-25, 02:00 to 03:00 comes twice in Berlin. The rows begin at midnight UTC, 292 days and 16 h after `START_S`.
     let shift = |k: usize| (292 * 86_400 + 16 * 3600) / 10 + 12 * k;
     let text = (0..super::ROWS).map(|k| format!("{},1,2\n", local(shift(k), "Europe/Berlin", "%Y-%m-%d %H:%M:%S")));
     let first = local(shift(0), "Europe/Berlin", "%Y-%m-%d %H:%M:%S");
@@ -104,7 +104,7 @@ fn the_hours_that_clocks_are_moved_over_are_told_apart() {
     expect(0, &["convert", place, out.to_str().unwrap(), "--tz", "Europe/Berlin"]);
     assert_eq!(rows(&out), expected);
     assert_eq!(first, "2026-10-25 02:00:00");
-    // The same clock readings in UTC are other times: the zone is asked for by name.
+    // The same clock readings could be in UTC, so the zone must be given.
     let utc_rows: String = Form::with(|k| utc(k, "%Y-%m-%d %H:%M:%S")).table(&["Time", "A.OP", "A.PV"]);
     fs::write(&path, utc_rows).unwrap();
     expect(1, &["convert", place, out.to_str().unwrap(), "--force"]);

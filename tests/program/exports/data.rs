@@ -1,11 +1,11 @@
-//! One loop's data, written in every shape: what is read back must be these values at these times.
+//! One loop's data, written in every shape; reading must give these values at these times.
 
 use std::fmt::Write as _;
 
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 
-/// Rows of the data.
+/// Number of rows.
 pub const ROWS: usize = 60;
 /// 2026-01-05T08:00:00Z, s.
 pub const START_S: i64 = 1_767_600_000;
@@ -22,12 +22,12 @@ pub fn op(k: usize) -> f64 {
     40.25 + (k % 7) as f64 * 1.5
 }
 
-/// PV of a row: above a thousand, so that thousands can be parted.
+/// PV of a row: above a thousand, to test thousands separators.
 pub fn pv(k: usize) -> f64 {
     1200.5 + (k % 5) as f64 * 12.25
 }
 
-/// How a table is written.
+/// Format of a table.
 #[derive(Clone, Copy)]
 pub struct Form {
     pub separator: &'static str,
@@ -52,7 +52,7 @@ pub fn comma(v: f64) -> String {
     point(v).replace('.', ",")
 }
 
-/// Thousands by a sign, decimals by another.
+/// A number with separators for thousands and decimals.
 pub fn grouped(v: f64, group: char, decimal: char) -> String {
     let text = point(v);
     let (whole, fraction) = text.split_once('.').unwrap();
@@ -65,17 +65,17 @@ pub fn grouped(v: f64, group: char, decimal: char) -> String {
 }
 
 impl Form {
-    /// Comma, decimal point.
+    /// Comma-separated, with decimal points.
     pub fn with(time: fn(usize) -> String) -> Self {
         Self { separator: ",", time, number: point }
     }
 
-    /// Semicolon, decimal comma.
+    /// Semicolon-separated, with decimal commas.
     pub fn german(time: fn(usize) -> String) -> Self {
         Self { separator: ";", time, number: comma }
     }
 
-    /// Header and rows time, OP, PV.
+    /// Header, and rows of time, OP, PV.
     pub fn table(self, header: &[&str]) -> String {
         let mut text = header.join(self.separator);
         if !header.is_empty() {
@@ -97,7 +97,7 @@ impl Form {
     }
 }
 
-/// A workbook of one sheet whose cells are written as given: a number, or a text.
+/// A cell of a workbook with one sheet: a number or a text.
 pub enum XlsxCell {
     Number(f64),
     /// A number shown as a date.
@@ -162,7 +162,7 @@ pub fn xlsx(rows: &[Vec<XlsxCell>]) -> Vec<u8> {
     zip(&parts.map(|(name, text)| (name, text.into_bytes())))
 }
 
-/// An archive of stored files.
+/// An archive of uncompressed files.
 fn zip(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let (mut out, mut index) = (Vec::new(), Vec::new());
     for (name, bytes) in files {
@@ -200,7 +200,7 @@ fn zip(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
     out
 }
 
-/// The rows, with times as instants or of no zone, in a column behind the others as pandas writes its index.
+/// The rows, with times as instants or without a zone, in the last column as pandas writes its index.
 #[cfg(feature = "parquet")]
 pub fn wide(zoned: bool) -> arrow_array::RecordBatch {
     use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Exports of other systems: every shape is read as it is, or refused with what settles it.
+//! Exports of other systems: every shape is read as it is, or refused with the option that settles it.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -32,7 +32,7 @@ fn read(shape: &Shape, flags: &[&str]) -> Result<Loaded, FileError> {
     units[0].load(&options)
 }
 
-/// Every value at its time, in order, and nothing else.
+/// Checks that every value is at its time, in order, and that there are no others.
 fn check(loaded: &Loaded, what: &str) -> Result<(), String> {
     let (name, how) = what.split_once(' ').unwrap_or((what, ""));
     let [one] = &loaded.loops[..] else { return Err(format!("{} loops", loaded.loops.len())) };

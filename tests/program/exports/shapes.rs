@@ -1,21 +1,21 @@
-//! The shapes: exports as the usual systems write them, with what each must give.
+//! Shapes: exports as written by common systems, with the expected result for each.
 
 use super::data::{Form, ROWS, XlsxCell, grouped, local, op, point, pv, t_s, utc, xlsx};
 
-/// What a shape must give.
+/// The expected result for a shape.
 pub enum Must {
     /// The data, under this loop's name.
     Read(&'static str),
-    /// A refusal that holds this text; with the flags, the data under the loop's name.
+    /// A refusal that contains this text; with the flags, the data under the loop's name.
     Ask(&'static str, &'static [&'static str], &'static str),
-    /// A refusal that holds this text.
+    /// A refusal that contains this text.
     Refuse(&'static str),
 }
 
 /// One shape.
 pub struct Shape {
     pub name: &'static str,
-    /// Files with their bytes; one is read by itself, several by their folder.
+    /// Files with their bytes; a single one is read directly, several through their folder.
     pub files: Vec<(&'static str, Vec<u8>)>,
     pub flags: &'static [&'static str],
     pub must: Must,
@@ -44,7 +44,7 @@ fn american(k: usize) -> String {
     local(k, "America/Chicago", "%-m/%-d/%Y %-I:%M:%S %p")
 }
 
-/// A day later than the 12th, so that the file itself shows the order.
+/// Moves the data to a day after the 12th, so that the file itself shows the order of day and month.
 fn shifted(rows: String, day: &str, to: &str) -> String {
     rows.replace(day, to)
 }
@@ -53,7 +53,7 @@ fn excel_days(k: usize) -> f64 {
     t_s(k) as f64 / 86_400.0 + 25_569.0
 }
 
-/// The shapes of text whose times or encodings differ.
+/// Text exports that differ in times or encodings.
 fn times() -> Vec<Shape> {
     use Must::{Ask, Read, Refuse};
     let tags = &["Time", "41FIC101.OP", "41FIC101.PV"];
@@ -210,7 +210,7 @@ fn times() -> Vec<Shape> {
     ]
 }
 
-/// The shapes of text whose layout differs.
+/// Text exports that differ in layout.
 fn layouts() -> Vec<Shape> {
     use Must::{Ask, Read, Refuse};
     let tags = &["Timestamp", "41FIC101.OP", "41FIC101.PV"];
@@ -424,7 +424,7 @@ fn layouts() -> Vec<Shape> {
     ]
 }
 
-/// Words for missing values, and what is not text.
+/// Words for missing values, and files that are not text.
 fn others() -> Vec<Shape> {
     use Must::{Ask, Read};
     let rows = |date: fn(usize) -> XlsxCell| {
@@ -550,7 +550,7 @@ fn columnar() -> Vec<Shape> {
     ]
 }
 
-/// Every shape, in the page's order.
+/// Every shape, in the order of the page.
 pub fn all() -> Vec<Shape> {
     [times(), layouts(), others()].into_iter().flatten().collect()
 }
