@@ -1,4 +1,4 @@
-//! The bump test that an estimate proposes, carried out on the simulated valve and read as its text says.
+//! Runs the bump test that an estimate proposes on the simulated valve, and reads the result as the instructions say.
 
 use serde::Serialize;
 
@@ -11,21 +11,21 @@ use stiction::core::sim::process::ProcessState;
 use stiction::core::verdict::bump_test::{BumpTest, Refusal, bump_test};
 use stiction::core::verdict::{AssessParams, Assessment, assess};
 
-/// Ends of the noise levels, shares of PV's spread.
+/// Limits of the noise levels, shares of PV's spread.
 pub const NOISE: [f64; 5] = [0.005, 0.01, 0.02, 0.05, 0.1];
-/// Laws, as tables name them.
+/// Valve laws, by their names in tables.
 pub const LAWS: [&str; 2] = ["he", "tracking"];
-/// Largest error of a band that was read well, of the truth.
+/// Largest relative error of a band that counts as read well.
 const CLOSE: f64 = 0.15;
 
-/// What came of one loop: the test on its own valve, and the same test on a valve without friction in its place.
+/// Result for one loop: the test on its own valve, and the same test on a valve without friction.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Trial {
     /// Seed of the loop.
     pub seed: u64,
     /// Valve law.
     pub law: &'static str,
-    /// Noise over PV's spread without noise.
+    /// Noise relative to PV's spread without noise.
     pub noise_share: f64,
     /// The valve's band, OP units.
     pub truth: f64,
@@ -33,19 +33,19 @@ pub struct Trial {
     pub estimate: f64,
     /// Why no test was proposed.
     pub refused: Option<&'static str>,
-    /// Band read from the test; `None` where none was proposed or it was ended.
+    /// Band read from the test; `None` if no test was proposed or it was stopped.
     pub read: Option<f64>,
-    /// Band read on the valve without friction.
+    /// Band read from the valve without friction.
     pub read_healthy: Option<f64>,
-    /// Least band that the test tells from none, OP units.
+    /// Least band that the test distinguishes from zero, OP units.
     pub detects: f64,
-    /// Furthest that PV went over what was expected.
+    /// Largest travel of PV relative to the expected one.
     pub travel_ratio: f64,
-    /// How long it took, s, over what was said.
+    /// Duration relative to the stated one.
     pub time_ratio: f64,
 }
 
-/// The loop of a seed and law, estimated, and the test that the estimate proposes carried out.
+/// Simulates and assesses the loop of a seed and law, and runs the test that the estimate proposes.
 #[must_use]
 pub fn sticking(half: Half, law: &'static str, seed: u64) -> Option<Trial> {
     const REGIMES: [[Regime; 3]; 2] = [
@@ -55,7 +55,7 @@ pub fn sticking(half: Half, law: &'static str, seed: u64) -> Option<Trial> {
     let of_law = REGIMES[usize::from(law == LAWS[1])];
     let case = crate::truth::accuracy(half, of_law[(seed % 3) as usize], seed);
     let a = assess(&case.record(), &AssessParams { always_fit: true, ..AssessParams::default() });
-    // A test is proposed to those that are found.
+    // A test is proposed only if stiction was found.
     (a.stiction == Some(true)).then(|| trial(&case, &a))
 }
 
@@ -97,13 +97,13 @@ const fn name(refusal: Refusal) -> &'static str {
     }
 }
 
-/// Somebody at the controller in manual, who sees PV with its noise.
+/// A person at the controller in manual, who sees PV with its noise.
 struct Person<'t> {
     plan: &'t BumpTest,
     valve: ValveModel,
     stem: Stem,
     process: ProcessState,
-    /// Where an integrating process rests, OP units.
+    /// Valve position at which an integrating process keeps its level, OP units.
     rest: f64,
     draw: Draw,
     noise_sd: f64,
@@ -111,7 +111,7 @@ struct Person<'t> {
     /// Sign of the process gain.
     sign: f64,
     op: f64,
-    /// PV before the test, and how far it went from there without noise.
+    /// PV before the test, and its largest travel from there, without noise.
     start: f64,
     furthest: f64,
     scans: u64,
@@ -128,7 +128,7 @@ impl<'t> Person<'t> {
             _ => ValveLaw::None,
         };
         let op = stats::mean(&case.op);
-        // The stem rests anywhere in its band.
+        // The stem rests at a random position in its band.
         let position = op + 0.999 * fs * draw.between(-1.0, 1.0);
         let mut process = ProcessState::at_rest(case.process, position);
         let start = process.step(position, position);
@@ -166,7 +166,7 @@ impl<'t> Person<'t> {
         sum / (scans - from) as f64
     }
 
-    /// Steps OP towards `direction` until PV moves that way, then waits; the steps that it took, and PV then.
+    /// Steps OP towards `direction` until PV moves that way, then waits; returns the number of steps, and PV afterwards.
     fn until_it_moves(&mut self, direction: f64, first_share: f64, from: f64, begin: f64) -> Option<(u32, f64)> {
         for n in 1..=self.plan.most_steps {
             let share = if n == 1 { first_share } else { 1.0 };
@@ -182,7 +182,7 @@ impl<'t> Person<'t> {
         None
     }
 
-    /// The counts of both reversals; `None` where the test was ended.
+    /// The counts of both reversals; `None` if the test was stopped.
     fn carry_out(&mut self) -> Option<[u32; 2]> {
         let begin = self.hold(self.plan.settle_s);
         let (_, up) = self.until_it_moves(1.0, 1.0, begin, begin)?;
@@ -192,26 +192,26 @@ impl<'t> Person<'t> {
     }
 }
 
-/// A row of the table: the trials of a law and a level of noise.
+/// A row of the table: the trials for one law and one level of noise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// Law.
     pub law: &'static str,
-    /// Ends of the noise level, shares of PV's spread.
+    /// Limits of the noise level, shares of PV's spread.
     pub noise: [f64; 2],
     /// Estimates that found stiction.
     pub estimates: usize,
     /// Tests proposed.
     pub tests: usize,
-    /// Tests that were ended by a stop criterion.
+    /// Tests stopped by a criterion.
     pub ended: usize,
     /// Bands read within 15 % of the truth.
     pub close: usize,
-    /// Median and ninth decile of the error, % of the truth.
+    /// Median and 90th percentile of the error, % of the truth.
     pub error_pct: [f64; 2],
-    /// Ninth decile of PV's way over the expected one, and of the time that the test took over the one said.
+    /// 90th percentiles of PV's travel over the expected one, and of the duration over the stated one.
     pub travel_and_time: [f64; 2],
-    /// Valves without friction on which the same test read less than it can detect.
+    /// Valves without friction on which the test read less than it can detect.
     pub healthy_below: usize,
 }
 
@@ -239,7 +239,7 @@ impl Row {
     }
 }
 
-/// Rows by law and noise, then all of them.
+/// Rows by law and noise, then the total.
 #[must_use]
 pub fn table(trials: &[Trial]) -> Vec<Row> {
     let mut out = Vec::new();
@@ -253,8 +253,8 @@ pub fn table(trials: &[Trial]) -> Vec<Row> {
     out
 }
 
-/// Trials of the first loops from `seed` whose estimate proposes a test, `count` of each law and level of noise at most;
-/// those without a test are kept beside them.
+/// The first trials in order whose estimate proposes a test, at most `count` per law and level of noise; until then trials
+/// without a test are kept, too.
 #[must_use]
 pub fn enough(trials: Vec<Trial>, count: usize) -> Vec<Trial> {
     let mut taken = [[0_usize; 4]; 2];

@@ -1,4 +1,4 @@
-//! Fitting the rule, and telling how good it is on what it was not fitted to.
+//! Fits the rule and evaluates it on data that it was not fitted to.
 
 use std::collections::BTreeSet;
 
@@ -9,51 +9,51 @@ use stiction::core::verdict::features::{Features, Figures};
 use stiction::core::verdict::rule::{Cuts, Logistic, Made, Rule, Weight, logistic};
 use stiction::core::verdict::tally::Scored;
 
-/// One case with a known truth, as it is kept between fits.
+/// One case with a known truth, as stored between fits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Example {
-    /// A file, or a simulated loop.
+    /// A file name, or a simulated loop.
     pub name: String,
-    /// Where it comes from: the collection of a recording, the kind of a simulated loop.
+    /// The collection of a recording, or the kind of a simulated loop.
     pub source: String,
     /// The valve of a recording; `None` for a simulated loop.
     pub valve: Option<String>,
-    /// Recordings of the same data share it.
+    /// Group of recordings of the same data.
     pub group: String,
-    /// Kept for the report, never fitted to.
+    /// Reserved for the report, never fitted.
     pub held: bool,
     /// The valve sticks.
     pub truth: bool,
-    /// The blocking gate that leaves it without an answer.
+    /// The blocking gate that prevents an answer.
     pub gate: Option<String>,
-    /// The figures of every window that it is judged in, see [`stiction::core::verdict::figures`].
+    /// The figures of every window of the case, see [`stiction::core::verdict::figures`].
     pub windows: Vec<Figures>,
 }
 
-/// How a rule is fitted.
+/// Settings of the fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    /// Names of the features that count, a list for each rule whose logits are averaged.
+    /// Names of the features used, one list for each of the rules whose logits are averaged.
     pub features: Vec<Vec<String>>,
     /// Penalty on the squared weights of standardised features.
     pub ridge: f64,
-    /// Real valves that weigh as much as all simulated loops together.
+    /// Weight of all simulated loops together, in real valves.
     pub simulated_weight: f64,
-    /// What follows from a probability.
+    /// Decision thresholds of the rule.
     pub cuts: Cuts,
     /// Seed of the first simulated loop, for the record.
     pub seed: u64,
 }
 
-/// Rounds of reweighting; a fit of this kind settles in fewer than ten.
+/// Most rounds of reweighting; such a fit converges in fewer than ten.
 const ROUNDS: usize = 60;
-/// Digits that a weight keeps.
+/// Weights are rounded to multiples of one over this.
 const DIGITS: f64 = 1e4;
-/// Simulated loops from which the probabilities are scaled to their rates.
+/// Fewest simulated loops for rescaling the probabilities to their rates.
 const ENOUGH: usize = 100;
 
-/// Weight of each example: a valve weighs 1, shared by its data groups, these shared by their recordings; all simulated
-/// loops together weigh `simulated_weight`. What cannot be answered weighs nothing.
+/// Weight of each example: a valve has weight 1, shared equally by its data groups and within them by their recordings; all
+/// simulated loops together have weight `simulated_weight`. Examples without an answer have weight 0.
 #[must_use]
 pub fn weights(examples: &[Example], simulated_weight: f64) -> Vec<f64> {
     let usable = |e: &&Example| e.gate.is_none();
@@ -71,7 +71,7 @@ pub fn weights(examples: &[Example], simulated_weight: f64) -> Vec<f64> {
     examples.iter().map(of).collect()
 }
 
-/// One row of a fit: features, truth, weight, whether it is of a simulated loop.
+/// One row of a fit: features, truth, weight, and whether the loop is simulated.
 struct Row {
     features: Features,
     truth: f64,
@@ -79,7 +79,7 @@ struct Row {
     simulated: bool,
 }
 
-/// The windows of the examples with a weight, which they share.
+/// The windows of the examples with a weight, which is divided among them.
 fn rows(examples: &[Example], given: &[f64]) -> Vec<Row> {
     let used = examples.iter().zip(given).filter(|(_, w)| **w > 0.0);
     let of = |(e, w): (&Example, &f64)| {
@@ -91,8 +91,8 @@ fn rows(examples: &[Example], given: &[f64]) -> Vec<Row> {
     used.flat_map(of).collect()
 }
 
-/// Fits the rules by L2-penalised logistic regression (iteratively reweighted least squares) to the examples with a
-/// weight; a feature that an example lacks counts as its mean. `None` where no example weighs anything.
+/// Fits the rules by L2-penalised logistic regression (iteratively reweighted least squares) to the examples with a weight; a
+/// feature that an example lacks is set to its mean. `None` if no example has a weight.
 #[must_use]
 pub fn fit(examples: &[Example], given: &[f64], settings: &Settings) -> Option<Rule> {
     let rows = rows(examples, given);
@@ -153,8 +153,8 @@ fn made_of(examples: &[Example], weights: &[f64], settings: &Settings) -> Made {
     }
 }
 
-/// Offset and slope that turn the logits into probabilities that hold for the simulated loops (Platt 1999), of which
-/// there are enough to tell: real recordings help to choose the weights, but too few to count rates.
+/// Offset and slope that turn the logits into calibrated probabilities for the simulated loops (Platt 1999), which are numerous
+/// enough: real recordings help to choose the weights, but are too few to estimate rates.
 fn rescale(rows: &[Row], rule: &Rule) -> Option<(f64, f64)> {
     let simulated: Vec<&Row> = rows.iter().filter(|r| r.simulated).collect();
     if simulated.len() < ENOUGH {
@@ -167,7 +167,8 @@ fn rescale(rows: &[Row], rule: &Rule) -> Option<(f64, f64)> {
     (found[1] > 0.0).then_some((found[0], found[1]))
 }
 
-/// Weights of the columns of `x` (the first is the constant, which is not penalised); `made` holds truth and weight.
+/// Weights of the columns of `x` (the first is the constant, which is not penalised); each element of `made` is truth and
+/// weight.
 pub(crate) fn regress(x: &DMatrix<f64>, made: &[[f64; 2]], ridge: f64) -> Option<DVector<f64>> {
     let (n, k) = x.shape();
     let mut b = DVector::<f64>::zeros(k);
@@ -199,7 +200,7 @@ pub(crate) fn regress(x: &DMatrix<f64>, made: &[[f64; 2]], ridge: f64) -> Option
     Some(b)
 }
 
-/// What a rule says of an example.
+/// Applies a rule to an example.
 #[must_use]
 pub fn ask(rule: &Rule, example: &Example, weight: f64) -> Scored {
     if example.gate.is_some() {
@@ -213,8 +214,8 @@ pub fn ask(rule: &Rule, example: &Example, weight: f64) -> Scored {
     Scored { truth: example.truth, answer, p: Some(opinion.p()), weight }
 }
 
-/// Every recording judged by a rule that has not seen its valve, in the examples' order; simulated loops are left out
-/// of the answer, not of the fits.
+/// Judges every recording by a rule fitted without its valve, in the order of the examples; simulated loops are in the fits,
+/// but not in the result.
 #[must_use]
 pub fn leave_one_valve_out<'e>(examples: &'e [Example], settings: &Settings) -> Vec<(&'e Example, Scored)> {
     let weights = weights(examples, settings.simulated_weight);
@@ -249,7 +250,7 @@ mod tests {
         }
     }
 
-    /// Loops whose truth follows a logistic law of `travel`, and does not depend on `horch`.
+    /// Loops whose truth follows a logistic law in `travel`, and does not depend on `horch`.
     fn loops(n: usize) -> Vec<Example> {
         let mut state = 7_u64;
         let mut draw = || {

@@ -1,4 +1,4 @@
-//! The gap's decision fitted to decisions of known outcome: what `calibration.json` holds.
+//! Fits the weights of the gap's decision to decisions of known outcome: the contents of `calibration.json`.
 
 use nalgebra::{DMatrix, DVector};
 use sha2::{Digest, Sha256};
@@ -9,12 +9,12 @@ use stiction::core::gap::probability::{Features, NAMES, Outcome, Weights, softma
 use stiction::core::gap::{GapError, GapOptions, Serial, diagnose, effects};
 use stiction::core::record::Record;
 
-/// Newton steps of a fit, and the digits that a weight keeps.
+/// Newton steps of a fit; weights are rounded to multiples of one over the second.
 const STEPS: usize = 40;
 const DIGITS: f64 = 1e4;
 
-/// Fits weights to decisions of known outcome, each with a weight of its own: Newton steps with a penalty of `ridge` on
-/// the squared weights of all but the constant.
+/// Fits weights to decisions of known outcome, each with its own weight: Newton steps with the penalty `ridge` on all squared
+/// weights except the constant's.
 #[must_use]
 pub fn fit(cases: &[(Features, Outcome, f64)], ridge: f64) -> Weights {
     const K: usize = NAMES.len();
@@ -54,7 +54,7 @@ pub fn fit(cases: &[(Features, Outcome, f64)], ridge: f64) -> Weights {
     NAMES.iter().enumerate().map(|(i, name)| ((*name).to_owned(), [kept(w[i]), kept(w[K + i])])).collect()
 }
 
-/// A name for the gap's search: a hash of what it makes of one loop, the evidence to three digits.
+/// Identifies the gap's search: a hash of its result for one loop, with the evidence rounded to three digits.
 ///
 /// # Errors
 /// The loop cannot be diagnosed.
@@ -64,7 +64,7 @@ pub fn search_id() -> Result<String, GapError> {
     let period_points = oscillation::detect(&record.op(), &record.pv).map(|found| found.period_points);
     let diagnosis = diagnose(&record, &GapOptions { period_points, ..GapOptions::default() }, &Serial)?;
     let evidence = diagnosis.evidence();
-    // Whether two effects are looked for at once depends on the calibration itself.
+    // Whether pairs of effects are tried depends on the calibration itself, so they are left out.
     let single = evidence.contenders.iter().filter(|c| effects::parts(&c.id).nth(1).is_none());
     let mut leads: Vec<String> = single.map(|c| format!("{} {:.3}\n", c.id, c.lead)).collect();
     leads.sort();

@@ -1,4 +1,4 @@
-//! Intervals against simulated truth: how often they hold, how wide they have to be.
+//! Compares intervals with the simulated truth: how often they contain it, and how wide they must be.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +8,7 @@ use stiction::core::ident::width::{Floor, Intervals, Settings, Spread, Trust};
 use stiction::core::ident::{Options, quantify};
 use stiction::core::signal::stats;
 
-/// One simulated loop: what is true, what was estimated, what the likelihood says. OP units.
+/// One simulated loop: truth, estimate, and the likelihood's intervals. OP units.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Name of the loop's regime.
@@ -27,7 +27,7 @@ pub struct Row {
     pub evaluations: u64,
 }
 
-/// Fits one simulated loop as the daemon fits any; `None` where the fit finds nothing.
+/// Fits one simulated loop as the daemon does; `None` if the fit fails.
 #[must_use]
 pub fn look(half: Half, regime: Regime, seed: u64) -> Option<Row> {
     let case = crate::truth::accuracy(half, regime, seed);
@@ -40,7 +40,7 @@ pub fn look(half: Half, regime: Regime, seed: u64) -> Option<Row> {
     Some(Row { regime, seed, truth, found, spread: e.spread, span: e.span, evaluations: e.evaluations })
 }
 
-/// Share of loops that a class of fits has to cover.
+/// Share of loops that the intervals of each class must cover.
 const AIM: f64 = 0.9;
 
 impl Row {
@@ -53,14 +53,14 @@ impl Row {
         self.spread.trust(self.found[0])
     }
 
-    /// The intervals that would be told.
+    /// The intervals that would be reported.
     fn told(&self, floor: &Floor) -> [[f64; 2]; 4] {
         let [s, j] = self.found;
         let Intervals { s, j, fs, fd } = self.spread.told(s, j, floor, 1.0).within(self.span, s, j);
         [s, j, fs, fd]
     }
 
-    /// The smallest floors with which each interval holds the truth.
+    /// The smallest floors for which each interval contains the truth.
     fn needed(&self) -> [f64; 4] {
         let (truth, found) = (self.true_bands(), bands(self.found));
         let told = self.told(&Floor { s: 0.0, j: 0.0, fs: 0.0, fd: 0.0 });
@@ -81,8 +81,8 @@ fn bands([s, j]: [f64; 2]) -> [f64; 4] {
     [s, j, 0.5 * (s + j), 0.5 * (s - j)]
 }
 
-/// The least widths with which every class of fits holds the truth as often as it should; a class that `rows` hardly
-/// has keeps those of `before`.
+/// The smallest widths with which every class of fits contains the truth as often as required; a class with hardly any `rows`
+/// keeps the widths of `before`.
 #[must_use]
 pub fn fit(rows: &[Row], before: &Settings, made: String) -> Settings {
     const FEWEST: usize = 10;
@@ -92,12 +92,12 @@ pub fn fit(rows: &[Row], before: &Settings, made: String) -> Settings {
         if needed.len() < FEWEST {
             continue;
         }
-        // One more than the share, as for a loop that is still to come.
+        // One more than the share, to cover a future loop.
         let rank = ((needed.len() as f64 + 1.0) * AIM).ceil() as usize;
         let at = |i: usize| {
             let sorted = stats::sorted(&needed.iter().map(|n| n[i]).collect::<Vec<_>>());
             let value = sorted[rank.min(sorted.len()) - 1];
-            // Rounded up to what is worth printing.
+            // Rounded up to four decimals.
             (value * 1e4).ceil() / 1e4
         };
         *out.of_mut(trust) = Floor { s: at(0), j: at(1), fs: at(2), fd: at(3) };
@@ -105,22 +105,22 @@ pub fn fit(rows: &[Row], before: &Settings, made: String) -> Settings {
     out
 }
 
-/// How good estimates and intervals are in one regime, or in one class of fits.
+/// Quality of estimates and intervals in one regime, or in one class of fits.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Coverage {
-    /// The regime's or the class' name.
+    /// The name of the regime or class.
     pub name: String,
-    /// Loops.
+    /// Number of loops.
     pub loops: usize,
     /// Median error of s, %.
     pub median_pct: f64,
-    /// Its ninth decile, %.
+    /// 90th percentile of that error, %.
     pub p90_pct: f64,
-    /// Share of loops whose interval holds the true s, j, fs and fd.
+    /// Share of loops whose interval contains the true s, j, fs and fd.
     pub held: [f64; 4],
-    /// Median width of the intervals over the true s, %.
+    /// Median width of the intervals relative to the true s, %.
     pub width_pct: [f64; 4],
-    /// Share of loops whose j is seen apart from the gain.
+    /// Share of loops whose j is identified separately from the gain.
     pub identifiable: f64,
 }
 
@@ -152,7 +152,7 @@ impl Coverage {
     }
 }
 
-/// Coverage by regime, in their order, then by class of fits.
+/// Coverage by regime, in the order of the regimes, then by class of fits.
 #[must_use]
 pub fn table(rows: &[Row], settings: &Settings) -> Vec<Coverage> {
     let regimes = Regime::ALL.iter().map(|regime| {
@@ -173,7 +173,7 @@ mod tests {
     use stiction::core::ident::residual::Whiteness;
     use stiction::core::ident::width::THIRDS;
 
-    /// A white fit whose s is off by a share of what the interval holds.
+    /// A white fit whose true s exceeds the estimate by the share `off`.
     fn row(off: f64) -> Row {
         let whiteness =
             Whiteness { r1: 0.0, portmanteau: 20.0, cross: 1.0, inflation: 1.0, white: true, follows_op: false };

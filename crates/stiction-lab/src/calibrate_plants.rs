@@ -1,4 +1,4 @@
-//! Fits the rules of the plant-wide judgement to simulated plants, and counts how right they are on others.
+//! Fits the rules of the plant-wide judgement to simulated plants, and scores them on others.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -15,14 +15,14 @@ use stiction::core::units::ns_from_s;
 use stiction::core::verdict::prevalence::CALIBRATED_FOR;
 use stiction::core::verdict::{AssessParams, Assessment, assess};
 
-/// How the rules are fitted.
+/// Settings of the fits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Pairs of different plants for each step of [`APART`].
+    /// Number of pairs from different plants for each step of [`APART`].
     pub foreign: usize,
     /// Share of those pairs above the link threshold.
     pub chance_links: f64,
-    /// Probability of the member's rule below which a follower's own stiction is attributed to the source.
+    /// Probability by the member's rule below which a follower's own signs of stiction are attributed to the source.
     pub capped_below: f64,
 }
 
@@ -32,19 +32,19 @@ impl Default for Settings {
     }
 }
 
-/// Share of those pairs from which the fall of the tail is read.
+/// Share of those pairs from which the decay of the tail is estimated.
 const TAIL: f64 = 0.1;
 /// Ridge penalties: links, sources, members.
 const RIDGE: [f64; 3] = [2.0, 5.0, 4.0];
-/// Most steps of the source's rule, and the longest one.
+/// Most steps of the fit of the source's rule, and the longest step.
 const CHOICE_ROUNDS: usize = 60;
 /// See [`CHOICE_ROUNDS`].
 const LONGEST_STEP: f64 = 2.0;
-/// Largest standardised figure of the source's and the member's rule.
+/// Largest standardised figure in the rules of source and member.
 const LIMIT: f64 = 4.0;
-/// Differences of frequency of pairs of different plants, as shares.
+/// Relative differences in frequency of pairs from different plants.
 pub const APART: [[f64; 2]; 4] = [[0.0005, 0.003], [0.003, 0.01], [0.01, 0.03], [0.03, 0.1]];
-/// Place of the logarithm of the periods compared among a pair's figures.
+/// Index of the logarithm of the compared periods among a pair's figures.
 const PERIODS: usize = 5;
 
 /// A plant with each loop's own assessment.
@@ -66,7 +66,7 @@ impl Judged {
         Self { loops, assessments, seed, difficulty }
     }
 
-    /// The same plant with clocks that differ: each loop's by its own draw, evenly from 0 to so many of its periods.
+    /// The same plant with skewed clocks: each loop's by its own draw, uniform from 0 to this many of its periods.
     #[must_use]
     pub fn with_skewed_clocks(mut self, periods: f64) -> Self {
         let mut draw = Draw::new(self.seed, "clocks");
@@ -78,7 +78,7 @@ impl Judged {
         self
     }
 
-    /// How hard the plant was made.
+    /// Difficulty of the plant.
     #[must_use]
     pub const fn difficulty(&self) -> Difficulty {
         self.difficulty
@@ -111,7 +111,7 @@ impl Judged {
         (0..n).flat_map(move |a| (a + 1..n).map(move |b| [a, b]))
     }
 
-    /// The oscillation that most members of a group share, if two of them share one; and its true source among them.
+    /// The oscillation shared by most members of a group, if at least two share one, and its true source.
     fn truth(&self, members: &[usize]) -> Option<Truth> {
         let count = |group: usize| members.iter().filter(|m| self.loops[**m].group == Some(group)).count();
         let group = (0..2).max_by_key(|group| count(*group)).filter(|group| count(*group) > 1)?;
@@ -123,19 +123,19 @@ impl Judged {
     }
 }
 
-/// What makes a group's oscillation in truth.
+/// True source of a group's oscillation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Truth {
     Member(usize),
     Outside,
-    /// A sticking valve that was not put into the group.
+    /// A sticking valve that is not in the group.
     NotMeasured,
 }
 
-/// Figures of a pair, and whether the pair shares one oscillation.
+/// Figures of a pair, and whether the pair shares an oscillation.
 type Row = (Vec<f64>, bool);
 
-/// Figures of `count` pairs of different plants for each step of [`APART`]: the time of one loop is stretched so that the
+/// Figures of `count` pairs from different plants for each step of [`APART`]: the time of one loop is stretched so that the
 /// frequencies nearly agree.
 #[must_use]
 pub fn foreign_pairs(plants: &[Judged], count: usize, seed: u64) -> Vec<Vec<PairFigures>> {
@@ -165,7 +165,7 @@ pub fn foreign_pairs(plants: &[Judged], count: usize, seed: u64) -> Vec<Vec<Pair
     APART.into_iter().map(&mut one_step).collect()
 }
 
-/// Means and scales that standardise figures.
+/// Means and scales for standardising figures.
 struct Standard {
     means: Vec<f64>,
     scales: Vec<f64>,
@@ -183,7 +183,7 @@ impl Standard {
         Some(Self { means, scales, limit })
     }
 
-    /// A column of ones and one for each standardised figure.
+    /// A column of ones, and one column per standardised figure.
     fn table(&self, rows: &[&[f64]]) -> DMatrix<f64> {
         let cell = |row: usize, c: usize| match c {
             0 => 1.0,
@@ -214,8 +214,8 @@ struct Choice {
     source: Option<usize>,
 }
 
-/// Conditional logistic regression (McFadden 1974): the members of a group compete with one another, and with a source
-/// outside, whose logit is 0.
+/// Conditional logistic regression (McFadden 1974): the members of a group compete with each other and with an external source,
+/// whose logit is 0.
 fn fit_choices(choices: &[Choice], ridge: f64, limit: f64) -> Option<Logit> {
     let figures: Vec<&[f64]> = choices.iter().flat_map(|c| c.members.iter().map(Vec::as_slice)).collect();
     let standard = Standard::of(&figures, limit)?;
@@ -254,7 +254,7 @@ fn fit_choices(choices: &[Choice], ridge: f64, limit: f64) -> Option<Logit> {
     Some(standard.logit(&b))
 }
 
-/// Fits every rule. `None` where the plants give no examples of one.
+/// Fits every rule. `None` if the plants contain no examples for one of them.
 #[must_use]
 pub fn calibrate(plants: &[Judged], settings: &Settings) -> Option<Calibration> {
     let mut links: Vec<Row> = Vec::new();
@@ -284,7 +284,7 @@ pub fn calibrate(plants: &[Judged], settings: &Settings) -> Option<Calibration> 
     fit_sources(plants, rules)
 }
 
-/// The threshold of links, and how chance links become rarer above it.
+/// The threshold of links, and the decay of chance links above it.
 fn chance(sorted: &[f64], rate: f64) -> Option<Chance> {
     let at = |share: f64| sorted.get(((1.0 - share) * sorted.len() as f64) as usize).copied();
     let (threshold, tail) = (at(rate)?, at(TAIL)?);
@@ -321,12 +321,12 @@ fn fit_sources(plants: &[Judged], rules: Calibration) -> Option<Calibration> {
     Some(Calibration { source, member, ..rules })
 }
 
-/// So many of so many.
+/// A count out of a total.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct Count {
-    /// Those that were.
+    /// Number found.
     pub found: usize,
-    /// All.
+    /// Total.
     pub of: usize,
 }
 
@@ -336,58 +336,58 @@ impl Count {
         self.of += 1;
     }
 
-    /// The share; NaN of none.
+    /// The share; NaN if the total is 0.
     #[must_use]
     pub fn share(self) -> f64 {
         self.found as f64 / self.of as f64
     }
 }
 
-/// How right the rules are.
+/// Accuracy of the rules.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Score {
-    /// Plants and their loops.
+    /// Number of plants and of their loops.
     pub plants: usize,
     /// See `plants`.
     pub loops: usize,
-    /// Pairs of one oscillation that were compared, linked: over 8 periods and more, and over fewer.
+    /// Compared pairs that share an oscillation, linked: over 8 periods and more, and over fewer.
     pub links: [Count; 2],
-    /// Pairs of one plant that share nothing, linked.
+    /// Unrelated pairs of one plant, linked.
     pub false_links: Count,
-    /// Pairs of different plants, linked, for each step of [`APART`].
+    /// Pairs from different plants, linked, for each step of [`APART`].
     pub foreign_links: [Count; 4],
-    /// Linked pairs of one plant or of two that a large plant would not compare, as their stored frames disagree.
+    /// Linked pairs of one plant or of two that a large plant would not compare, because their sketches disagree.
     pub left_out: Count,
-    /// Pairs in one group that do share one oscillation.
+    /// Pairs in one group that truly share an oscillation.
     pub precision: Count,
-    /// Pairs of one oscillation, both of which show it, in one group.
+    /// Pairs that share an oscillation, visible in both, in one group.
     pub recall: Count,
-    /// Groups with a sticking valve as source: it is ranked first.
+    /// Groups whose source is a sticking valve: the source is ranked first.
     pub first: Count,
-    /// It is named.
+    /// The same: the source is named.
     pub named: Count,
-    /// Another loop is named.
+    /// The same: another loop is named.
     pub other_named: Count,
-    /// Groups driven from outside: said so.
+    /// Groups with an external source: reported as external.
     pub outside: Count,
-    /// They have a loop named.
+    /// The same: a loop is named.
     pub outside_named: Count,
-    /// Groups whose source is not among the members: no loop is named.
+    /// Groups whose source is not a member: no loop is named.
     pub unmeasured: Count,
     /// Healthy members of groups called sticking, alone and by the group.
     pub false_positives: [Count; 2],
     /// Sources called sticking, alone and by the group.
     pub sources: [Count; 2],
-    /// Followers that stick themselves: called sticking alone, by the group, and reported as masked.
+    /// Followers with a sticking valve: called sticking alone, by the group, and reported as masked.
     pub second_valves: [Count; 3],
-    /// Loops that share nothing with others, put into a group.
+    /// Loops that share no oscillation, put into a group.
     pub alone_grouped: Count,
 }
 
-/// Probability above which a valve is called sticking here.
+/// Probability from which a valve is called sticking here.
 const CALLED: f64 = 0.5;
 
-/// Counts over plants that the rules were not fitted to.
+/// Scores the rules on plants that they were not fitted to.
 #[must_use]
 pub fn score(plants: &[Judged], rules: &Calibration, foreign: usize, seed: u64) -> Score {
     let mut score = Score { plants: plants.len(), ..Score::default() };

@@ -1,8 +1,8 @@
-//! Known effects in real loops: the recording's own disturbance and what its controller does beside PID are kept, and the loop
-//! is closed again over process and PID with the effect in it, so that OP answers.
+//! Known effects in real loops: the recorded disturbance and the controller's actions beyond PID are kept, and the loop is
+//! simulated in closed loop through process and PID with the effect added, so that OP reacts.
 //!
-//! The differences to the recording are simulated: PV's by the noise model's A and B from the difference that OP makes,
-//! OP's by the controller as read from the recording. Without an effect the recording itself comes out.
+//! The simulation computes differences from the recording: PV's by A and B of the noise model from the difference in OP, OP's
+//! by the controller identified from the recording. Without an effect the result is the recording itself.
 
 use crate::truth::draw::Draw;
 use stiction::core::gap::budget::Budget;
@@ -13,31 +13,30 @@ use stiction::core::record::Record;
 use stiction::core::signal::stats::std_dev;
 use stiction::core::signal::{detrend, stats};
 
-/// Effects that are put in.
+/// Effects that can be added.
 pub const EFFECTS: [&str; 5] = ["step_load", "outliers", "sinusoid", "ramp", "gain_drift"];
-/// Deviations of PV and of OP over the recording's own from which the closed loop is not stable.
+/// Deviations of PV and of OP, relative to the recording's own, from which the closed loop counts as unstable.
 const LARGEST: [f64; 2] = [4.0, 20.0];
-/// Deviations at which its run ends.
+/// Deviations at which the simulation stops.
 const FAR: f64 = 1e6;
 
-/// A recording as the budget sees it, and what closes its loop.
+/// A recording with its variance budget, which closes its loop.
 #[derive(Debug, Clone, Copy)]
 pub struct Loop<'a> {
     /// The recording.
     pub record: &'a Record,
-    /// Its budget, made without a base.
+    /// The recording's budget, computed without a base.
     pub budget: &'a Budget,
 }
 
-/// What an effect does to a loop: what it adds to PV, standard deviations of PV, and the factor on what the process makes of
-/// OP, at each point.
+/// Effect on a loop at each point: addition to PV, standard deviations of PV, and factor on the process's response to OP.
 struct Entry {
     added: Vec<f64>,
     gain: Vec<f64>,
 }
 
 impl Entry {
-    /// An effect of full size times `size`, at a place and of a sign that are drawn.
+    /// An effect of full size times `size`, at a random position and of random sign.
     fn draw(effect: &str, size: f64, n: usize, draw: &mut Draw) -> Self {
         let mut out = Self { added: vec![0.0; n], gain: vec![1.0; n] };
         let sign = draw.sign();
@@ -75,7 +74,7 @@ impl Loop<'_> {
         &self.budget.model
     }
 
-    /// The recording with an effect in PV alone: OP does not answer.
+    /// The recording with an effect in PV alone: OP does not react.
     #[must_use]
     pub fn in_pv(&self, effect: &str, size: f64, seed: u64) -> Record {
         let series = self.series();
@@ -86,7 +85,7 @@ impl Loop<'_> {
         self.recorded(&series.op.clone(), &pv)
     }
 
-    /// The recording with a step (of a size in standard deviations of PV) from a part of it on, in PV alone.
+    /// The recording with a step (size in standard deviations of PV) after the share `at` of it, in PV alone.
     #[must_use]
     pub fn with_step(&self, size: f64, at: f64) -> Record {
         let series = self.series();
@@ -95,7 +94,7 @@ impl Loop<'_> {
         self.recorded(&series.op.clone(), &pv)
     }
 
-    /// The recording with a sinusoid of an amplitude (standard deviations of PV), a frequency (cycles a point) and a phase
+    /// The recording with a sinusoid of given amplitude (standard deviations of PV), frequency (cycles per point) and phase
     /// (turns) in PV alone.
     #[must_use]
     pub fn with_wave(&self, size: f64, frequency: f64, phase: f64) -> Record {
@@ -105,14 +104,14 @@ impl Loop<'_> {
         self.recorded(&series.op.clone(), &pv)
     }
 
-    /// The noise model's own innovations, drawn anew: nothing is in it but noise.
+    /// A realisation of the noise model with resampled innovations: it contains only noise.
     #[must_use]
     pub fn null(&self, seed: u64) -> Record {
         let series = self.model().resampled(self.series(), seed);
         self.recorded(&series.op, &series.pv)
     }
 
-    /// The recording's loop closed again with an effect in it; `None` where it is not stable.
+    /// The recording's loop, simulated in closed loop with an effect; `None` if it is unstable.
     #[must_use]
     pub fn closed(&self, effect: &str, size: f64, controller: &Reading, seed: u64) -> Option<Record> {
         let series = self.series();
@@ -157,7 +156,7 @@ impl Loop<'_> {
         Some((op, pv))
     }
 
-    /// A record of these signals, recorded units.
+    /// A record of these signals in recorded units.
     fn recorded(&self, op: &[f64], pv: &[f64]) -> Record {
         let series = self.series();
         let boxed = |x: &[f64]| detrend::box_means(&x[series.from..], series.box_points);
@@ -180,7 +179,7 @@ mod tests {
     use stiction::core::ident::controller;
     use stiction::core::sim::noise::Noise;
 
-    /// A PI loop with a load that wanders.
+    /// A PI loop with a wandering load.
     fn record() -> Record {
         let (mut noise, mut x, mut d, mut sum) = (Noise::new(4, 1), 0.0, 0.0, 0.0);
         let (mut op, mut pv) = (vec![], vec![]);
@@ -209,7 +208,7 @@ mod tests {
         let step = own.closed("step_load", 1.0, &controller, 3).unwrap();
         let (op, pv) =
             (stats::mean(&step.op()[600..]) - stats::mean(&record.op()[600..]), step.pv[700] - record.pv[700]);
-        // Integral action takes the step away again, and OP bears it.
+        // Integral action moves the step from PV to OP.
         let size = 2.0 * std_dev(&record.pv);
         assert!(pv.abs() < 0.3 * size && op.abs() > 0.5 * size, "{pv} {op} {size}");
         assert_eq!(own.in_pv("step_load", 1.0, 3).op(), own.with_step(0.0, 0.5).op());

@@ -1,4 +1,4 @@
-//! How each effect enters a loop, and its size: shares of the loop's own amplitude, speed and period; 0 for none.
+//! Adds each effect to a loop, with sizes relative to the loop's own amplitude, speed and period; 0 for none.
 
 use super::artefact::{Artefact, spikes};
 use super::kinds::Kind;
@@ -106,7 +106,7 @@ impl Made {
                 self.note("fd_over_fs", fd / fs, "");
             }
             Kind::SlidingValve if size > 0.0 => {
-                // A Stribeck speed far below OP's pace, and enough drag to be in motion still at the next scan.
+                // A Stribeck speed far below OP's speed, and enough drag for the stem to be still in motion at the next scan.
                 valve.packing.vs *= libm::exp(-5.0 - 2.0 * size);
                 valve.packing.fv = 0.25 + 0.25 * size;
                 let vs = valve.packing.vs;
@@ -224,7 +224,7 @@ impl Made {
         let gain = self.plant.process.gain.abs();
         let behind = draw.chance(0.5);
         let place = if behind { "on pv" } else { "process input" };
-        // Shape of half span 1, and its half span as it should show on PV.
+        // A shape of half span 1, and its intended half span in PV.
         let (shape, on_pv) = match kind {
             Kind::Sinusoid => {
                 let ratio = if draw.chance(0.5) { draw.log_between(0.2, 0.7) } else { draw.log_between(1.5, 4.0) };
@@ -262,12 +262,12 @@ impl Made {
         self.note("half_span", if behind { on_pv } else { on_pv / gain }, if behind { "pv" } else { "op" });
         let (into, by) = if behind { (&mut self.drive.on_pv, on_pv) } else { (&mut self.drive.load, on_pv / gain) };
         if size > 0.0 {
-            // A shape that starts at 0 keeps its start; scaling is about its span.
+            // Scaling is relative to the span, so a shape that starts at 0 still does.
             into.iter_mut().zip(scaled(&shape, by)).for_each(|(x, more)| *x += more);
         }
     }
 
-    /// Steps and short pulses at sparse times, and half of their common span over the size of one.
+    /// Steps and short pulses at sparse times, and half of their total span relative to the size of one.
     fn upsets(&mut self, scale: &Scale, draw: &mut Draw) -> (Vec<f64>, f64) {
         let count = draw.pick(&[3, 4, 5, 6], 3);
         let mut shape = vec![0.0; scale.scans];

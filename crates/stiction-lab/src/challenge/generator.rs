@@ -1,9 +1,9 @@
-//! One case: a loop is drawn, run as it would be without the effect, measured, given the effect and run again.
+//! One case: draws a loop, runs it without the effect, measures it, adds the effect and runs it again.
 //!
-//! A draw is thrown away when the loop does not swing, hits the ends of OP, or leaves what a record needs (55 to 250
-//! samples a period, 5 to 30 periods). A case with an effect is drawn again, up to [`TRIES`] times, until the effect
-//! shows: what a refitted first-order process with the loop's own valve leaves of PV is [`SHOWN`] times the noise.
-//! The last try is kept whatever it shows, and the truth says how much that is.
+//! A draw is discarded if the loop does not oscillate, reaches the limits of OP, or leaves the required range (55 to 250
+//! samples per period, 5 to 30 periods). A case with an effect is drawn again, up to [`TRIES`] times, until the effect is
+//! visible: the residual of a refitted first-order process with the loop's own valve is [`SHOWN`] times the noise. The last try
+//! is kept in any case, and the truth states its residual.
 
 use super::enter::{Made, Scale};
 use super::kinds::Kind;
@@ -17,16 +17,16 @@ use stiction::core::sim::friction::SUB_STEPS;
 use stiction::core::sim::noise::Noise;
 use stiction::core::sim::process::{Pole, ProcessModel};
 
-/// Draws of a case before an effect that hardly shows is kept.
+/// Draws of a case before an effect that is hardly visible is kept.
 const TRIES: u32 = 8;
 
-/// What is left over the noise from which on an effect counts as shown while cases are drawn.
+/// Ratio of residual to noise from which an effect counts as visible while cases are drawn.
 const SHOWN: f64 = 1.35;
 
-/// What is asked of a case.
+/// Specification of a case.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Order {
-    /// Stream of its draws.
+    /// Random stream of the draws.
     pub stream: String,
     pub seed: u64,
     /// None, one, or two effects.
@@ -36,11 +36,11 @@ pub(super) struct Order {
     pub setpoint_moves: bool,
     pub transient: bool,
     pub mv: bool,
-    /// Periods of the record; drawn where it is left open.
+    /// Periods in the record; drawn if `None`.
     pub periods: Option<f64>,
 }
 
-/// A case as it was made.
+/// A generated case.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Case {
     pub op: Vec<f64>,
@@ -54,14 +54,14 @@ pub(super) struct Case {
     pub noise_sd: f64,
     pub pv_sd: f64,
     pub period: f64,
-    /// `[fs, fd]` upwards and downwards as on the bench, with the effect.
+    /// `[fs, fd]` upwards and downwards as measured on the bench, with the effect.
     pub bands: [[f64; 2]; 2],
-    /// Root mean square of what a refitted base with the true valve leaves, and the true form with the true sizes.
+    /// Root mean square residual of a refitted base with the true valve, and of the true form with the true sizes.
     pub base_rmse: f64,
     pub oracle_rmse: f64,
 }
 
-/// A loop before anything is wrong with it.
+/// A loop without the effect.
 struct Base {
     plant: Plant,
     drive: Drive,
@@ -70,21 +70,21 @@ struct Base {
     ts_s: f64,
 }
 
-/// Period, scans, for which a loop is drawn before it is stretched.
+/// Period, scans, for which a loop is drawn before its time is stretched.
 const DRAWN_FOR: f64 = 100.0;
 
 fn packing(draw: &mut Draw) -> Packing {
     let fs = draw.log_between(1.5, 6.0);
     let fc = fs * draw.between(0.05, 0.75);
-    // The Stribeck speed stands above OP's pace (two bands in half a period), so that the stem sticks and slips; the
-    // drag is so little that it hardly creeps before (crest of the curve far below that pace) and slips at once.
+    // The Stribeck speed is above OP's speed (two bands in half a period), so that the stem sticks and slips; the drag is so
+    // small that the stem hardly creeps before a slip (the curve's maximum is far below that speed) and slips at once.
     let pace = 4.0 * fs / DRAWN_FOR;
     let vs = pace * draw.log_between(1.5, 5.0);
     let fv = draw.log_between(0.01, 0.04).min(0.02 * pace * (fs - fc) / (vs * vs));
     Packing { fs, fc, vs, fv }
 }
 
-/// A loop with a sticking valve, drawn for a period of about [`DRAWN_FOR`] scans; `None` where no controller fits it.
+/// A loop with a sticking valve, drawn for a period of about [`DRAWN_FOR`] scans; `None` if no suitable controller is found.
 pub(crate) fn plant(draw: &mut Draw) -> Option<Plant> {
     let gain = draw.sign() * draw.log_between(0.4, 3.0);
     let dead_time = 20.0 * draw.log_between(0.1, 0.9);
@@ -116,8 +116,8 @@ pub(crate) fn plant(draw: &mut Draw) -> Option<Plant> {
     })
 }
 
-/// The loop of the period `now` made one of the period `wanted`, scans; forces stay, the packing's speed keeps its
-/// relation to OP's pace.
+/// Stretches the time of a loop from the period `now` to the period `wanted`, scans; forces are unchanged, and the packing's
+/// speed keeps its ratio to OP's speed.
 pub(crate) fn stretched(mut plant: Plant, now: f64, wanted: f64) -> Plant {
     let c = wanted / now;
     plant.process.tau *= c;
@@ -128,7 +128,7 @@ pub(crate) fn stretched(mut plant: Plant, now: f64, wanted: f64) -> Plant {
     plant
 }
 
-/// Whether OP stays inside and everything is a number.
+/// Whether OP stays off its limits and all values are finite.
 fn is_sane(run: &Run, from: usize) -> bool {
     run.pv.iter().all(|y| y.is_finite()) && run.op[from..].iter().all(|u| (1.0..99.0).contains(u))
 }
@@ -137,7 +137,7 @@ impl Base {
     fn draw(order: &Order, draw: &mut Draw) -> Option<Self> {
         let mut plant = plant(draw)?;
         let [fs, fd] = plant.valve.bench(1.0);
-        // A first run says how quick the limit cycle is; then the loop is stretched to the period wanted.
+        // A first run gives the period of the limit cycle; then the loop is stretched to the requested period.
         let mut kick = Drive::none(1_500);
         kick.sp.fill(1.5 * fs * plant.process.gain);
         let period = turns(&plant.run(&kick).mv, 2e-3 * fs).1?;
@@ -148,7 +148,7 @@ impl Base {
         let from = if order.transient { 0.0 } else { wanted * draw.between(3.0, 5.0) };
         let scans = (n + from) as usize;
         let mut drive = Drive::none(scans);
-        // Moves of a few slips at PV.
+        // Moves of PV by the effect of a few slips.
         let unit = (fs + fd).max(0.6 * fs) * plant.process.gain.abs();
         let hold = wanted * draw.between(1.2, 2.5);
         let moves = draw.steps(hold, scans);
@@ -173,7 +173,7 @@ impl Base {
     }
 }
 
-/// What is recorded of a run: the part behind the start, PV late by chance, then what recording does.
+/// The recording of a run: the part after the start, PV with random delays, then the effects of recording.
 fn recorded(made: &Made, run: &Run, from: usize, noise: &mut Noise) -> [Vec<f64>; 4] {
     let cut = |x: &[f64]| x[from..].to_vec();
     let mut pv = cut(&run.pv);
@@ -181,7 +181,7 @@ fn recorded(made: &Made, run: &Run, from: usize, noise: &mut Noise) -> [Vec<f64>
         for (k, y) in pv.iter_mut().enumerate() {
             let late = made.jitter * noise.uniform();
             let at = ((from + k) as f64 - late) * SUB_STEPS as f64;
-            // The measurement's own noise stays with the sample.
+            // The measurement noise belongs to the sample and is not delayed.
             let own = made.drive.noise[from + k];
             *y = run.fine[(at.max(0.0) as usize).min(run.fine.len() - 1)] + own;
         }
@@ -190,11 +190,11 @@ fn recorded(made: &Made, run: &Run, from: usize, noise: &mut Noise) -> [Vec<f64>
     [cut(&run.op), pv, cut(&run.sp), cut(&run.mv)]
 }
 
-/// A case, drawn until it fits.
+/// Draws a case until it meets the requirements.
 pub(super) fn case(order: &Order) -> Case {
     let (mut number, mut tries) = (0_u32, 0);
     loop {
-        // This ends by success alone, as the loops of `sim::truth` do.
+        // This ends only on success, like the loops of `truth`.
         let mut draw = Draw::new(order.seed, &format!("{}/{number}", order.stream));
         number += 1;
         let Some(found) = attempt(order, &mut draw) else { continue };
@@ -218,7 +218,7 @@ fn attempt(order: &Order, draw: &mut Draw) -> Option<Case> {
     finish(&base, made, sizes, seeds)
 }
 
-/// Runs a loop with its effects, once for the size of its swing, once with noise.
+/// Runs a loop with its effects, once without noise for the spread of PV, once with noise.
 fn finish(base: &Base, mut made: Made, sizes: Vec<f64>, seeds: [u64; 3]) -> Option<Case> {
     let from = base.scale.from;
     let quiet = made.plant.run(&made.drive);
@@ -242,7 +242,7 @@ fn finish(base: &Base, mut made: Made, sizes: Vec<f64>, seeds: [u64; 3]) -> Opti
     Some(Case { op, pv, sp, mv, ts_s, made, sizes, noise_sd, pv_sd, period, bands, base_rmse, oracle_rmse })
 }
 
-/// What the best first-order process behind the valve as it is without the effect leaves of the recorded PV.
+/// Root mean square residual of the best first-order process behind the valve without the effect.
 fn left_by_base(base: &Base, op: &[f64], pv: &[f64]) -> f64 {
     let [up, down] = [base.plant.valve.bench(1.0), base.plant.valve.bench(-1.0)];
     let mut plain = base.plant.clone();
@@ -257,7 +257,7 @@ fn left_by_base(base: &Base, op: &[f64], pv: &[f64]) -> f64 {
             let tau = slow * process.tau;
             let delay = (process.dead_time + more * process.tau).max(0.0) + 1.0;
             Pole::lag(tau, delay - delay.floor()).run(delay as usize, &stem, stem[0], &mut x);
-            // What was before the record is forgotten after some time constants.
+            // The time before the record is forgotten after a few time constants.
             let skip = ((delay + 3.0 * tau) as usize).saturating_sub(from).min(pv.len() / 2);
             best = best.min(residual_rms(&x[from + skip..], &pv[skip..]));
         }
@@ -265,7 +265,7 @@ fn left_by_base(base: &Base, op: &[f64], pv: &[f64]) -> f64 {
     best
 }
 
-/// Root mean square of `y` less the best line in `x`.
+/// Root mean square of `y` minus the best line in `x`.
 fn residual_rms(x: &[f64], y: &[f64]) -> f64 {
     let n = y.len().max(1) as f64;
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
@@ -280,8 +280,8 @@ fn variation(v: &[f64], mean: f64) -> f64 {
     v.iter().map(|a| (a - mean) * (a - mean)).sum()
 }
 
-/// What the catalogue's form of the truth leaves: the valve laws with the bands of the bench in place of the forces,
-/// all other effects with their true sizes, gain and bias refitted, coloured noise and spikes unknown.
+/// Residual of the catalogue's form of the truth: the valve laws with bench bands instead of forces, all other effects with
+/// their true sizes, gain and bias refitted; coloured noise and spikes count as unknown.
 fn left_by_truth(made: &Made, bands: [[f64; 2]; 2], op: &[f64], from: usize, pv: &[f64], seed: u64) -> f64 {
     let mut known = made.clone();
     let slides = known.plant.valve.packing.vs < 0.02 * known.plant.valve.packing.fs;

@@ -128,7 +128,7 @@ impl Deck {
         Self { orders, seed, split, cases }
     }
 
-    /// `cases` loops of each of these effects (none for `None`), with random streams of their own.
+    /// `cases` loops of each of these effects (none for `None`), with separate random streams.
     #[must_use]
     pub fn of(seed: u64, split: Split, kinds: &[Option<Kind>], cases: usize) -> Self {
         let one = |kind: Option<Kind>, index: usize| Order {
@@ -157,7 +157,7 @@ impl Deck {
         self.orders.is_empty()
     }
 
-    /// The case at `index`, bit-identical for the same deck. None beyond the end.
+    /// The case at `index`, bit-identical for the same deck. `None` beyond the end.
     #[must_use]
     pub fn deal(&self, index: usize) -> Option<Dealt> {
         let order = self.orders.get(index)?;

@@ -1,6 +1,6 @@
 //! The loop of the challenge: valve, transport, process, sensor and controller, integrated at sub-sample steps.
 //!
-//! None of it has the form that a diagnosis fits: dead time is a pipe, lags are advanced by their own exponentials (or by
+//! None of it has the form that the diagnosis fits: dead time is a pipe, lags are advanced by their own exponentials (or by
 //! Euler's rule if nonlinear), an inverse response is two opposing processes. `PV[k]` is measured before `OP[k]` is computed,
 //! as in [`stiction::core::sim::closed_loop`].
 
@@ -193,7 +193,7 @@ pub(crate) struct Loop<'a> {
 }
 
 impl<'a> Loop<'a> {
-    /// A loop at rest but for its strain, to be run for `n` scans with the set point `sp` from its rest.
+    /// A loop at rest except for its strain, for a run of `n` scans with the set point `sp`.
     pub fn new(plant: &'a Plant, n: usize, sp: f64) -> Self {
         let valve = Valve::new(plant.valve.clone(), plant.rest_op, plant.strain, Noise::new(plant.seed, 7));
         let flow = valve.position() - plant.rest_op;
@@ -236,12 +236,12 @@ impl<'a> Loop<'a> {
         self.run.mv.push(self.valve.position());
     }
 
-    /// What the process shows, from its rest, PV units.
+    /// Output of the process relative to its operating point, PV units.
     pub const fn deviation(&self) -> f64 {
         self.process.shown
     }
 
-    /// Stem position from the rest, OP units.
+    /// Stem position relative to its operating point, OP units.
     pub const fn flow(&self) -> f64 {
         self.valve.position() - self.plant.rest_op
     }
@@ -311,7 +311,7 @@ mod tests {
         }
     }
 
-    /// OP stepped by 1 at scan 10, 400 scans.
+    /// PV for a step of OP by 1 at scan 10, over 400 scans.
     fn response(plant: &Plant) -> Vec<f64> {
         let mut op = vec![50.0; 400];
         op[10..].fill(51.0);
@@ -337,7 +337,7 @@ mod tests {
         };
         let base = response(&plain());
         let behind = |pv: &[f64]| base.iter().zip(pv).map(|(a, b)| a - b).sum::<f64>() / 2.0;
-        // The area between two step answers is the sum of the lags, times the gain.
+        // The area between two step responses is the sum of the additional lags times the gain.
         assert!((behind(&with(|p| p.input_lag = 8.0)) - 8.0).abs() < 0.2);
         assert!((behind(&with(|p| p.sensor_lag = 8.0)) - 8.0).abs() < 0.2);
         let wrong_way = with(|p| (p.against, p.against_tau) = (0.6, 5.0));

@@ -1,4 +1,4 @@
-//! What the generator promises.
+//! Properties that the generator guarantees.
 
 use super::enter::{Made, Scale};
 use super::generator::{self, Order};
@@ -51,7 +51,7 @@ fn a_deck_has_what_the_table_says_and_its_order_tells_nothing() {
     assert!(alike < 30, "{alike}");
 }
 
-/// A loop with much of everything, whose effects can be left at size 0.
+/// A loop in which every effect is possible, and can be left at size 0.
 fn loop_and_scale() -> (Made, Scale) {
     let packing = Packing { fs: 3.0, fc: 1.2, vs: 0.6, fv: 0.05 };
     let controller = PidSettings {

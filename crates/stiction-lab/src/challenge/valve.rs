@@ -30,7 +30,7 @@ impl Packing {
     }
 }
 
-/// What moves the stem.
+/// Model that moves the stem.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Law {
     /// The force balance.
@@ -71,7 +71,7 @@ pub(crate) struct ValveSpec {
 }
 
 impl ValveSpec {
-    /// A linear valve with this packing and nothing else.
+    /// A linear valve with this packing and no other effects.
     pub const fn plain(packing: Packing) -> Self {
         Self {
             packing,
@@ -236,7 +236,7 @@ impl Valve {
         let most = self.spec.rate_limit * DT;
         let moved = self.stem.position - before.position;
         if moved.abs() > most {
-            // Packing in motion drags at its kinetic level however slowly the air lets it move.
+            // Packing in motion drags at its kinetic level, however slowly the air lets the stem move.
             self.stem.position = before.position + most * moved.signum();
         }
         let [low, high] = self.spec.stops;

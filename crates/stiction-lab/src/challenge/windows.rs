@@ -1,4 +1,4 @@
-//! One loop's recording of twenty periods, and the same in five windows of four, each at a level of its own.
+//! A recording of one loop over twenty periods, and the same loop in five windows of four periods, each at its own level.
 
 use super::generator::{Case, Order, case};
 use super::kinds::Kind;
@@ -12,7 +12,7 @@ pub const PERIODS: usize = 4;
 /// Largest change of a window's level, standard deviations of PV.
 const LEVEL: f64 = 1.0;
 
-/// A loop in both forms.
+/// The loop in both forms.
 #[derive(Debug, Clone)]
 pub struct InWindows {
     /// The effect, or `none`.
@@ -23,7 +23,7 @@ pub struct InWindows {
     pub windows: Vec<Record>,
 }
 
-/// The loop of a seed with an effect of the catalogue (none for `None`); sizes and set-point moves alternate with `index`.
+/// The loop of a seed with one effect of the catalogue (none for `None`); sizes and set-point moves alternate with `index`.
 #[must_use]
 pub fn in_windows(seed: u64, kind: Option<Kind>, index: usize) -> InWindows {
     let name = kind.map_or("none", Kind::id);

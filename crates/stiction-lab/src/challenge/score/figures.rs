@@ -164,7 +164,8 @@ fn middle(values: impl Iterator<Item = f64>) -> Option<f64> {
     (!values.is_empty()).then(|| median(&values))
 }
 
-/// Per cent that the called effect closes, where free run can predict the truth (one of two effects closes its own part).
+/// Share of the gap that the named effect closes, per cent, if a free run can predict the truth (one of two effects closes its
+/// own part).
 fn closed(case: &Judged<'_>) -> Option<f64> {
     if case.truth.unpredictable {
         return None;

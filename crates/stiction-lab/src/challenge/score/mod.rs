@@ -153,7 +153,7 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    /// A truth of which the sizes do not matter here.
+    /// A truth in which the sizes do not matter.
     fn truth_case(name: &str, answer: &str, effect: &str, stage: &str) -> serde_json::Value {
         json!({ "name": name, "answer": answer, "effect": effect, "form": null, "stages": [stage],
             "unpredictable": effect == "coloured_noise", "size": "large", "parameters": {}, "noise_sd": 1.0,
@@ -203,7 +203,7 @@ mod tests {
         ]);
         let answers = [
             answer("a", "extra_lag", "ramp", 0.9, 3.0, &[("extra_lag", "unknown"), ("ramp", "extra_lag")]),
-            // Within 1.10 times the noise: nothing shows, and `none` is right.
+            // Within 1.10 times the noise the effect is not visible, so `none` is right.
             answer("b", "none", "extra_lag", 0.6, 1.05, &[("extra_lag", "none")]),
             answer("c", "extra_lag", "ramp", 0.4, 3.0, &[("ramp", "extra_lag")]),
             answer("d", "unknown", "none", 0.7, 3.0, &[("coloured_noise", "ramp")]),
@@ -220,7 +220,7 @@ mod tests {
         assert_eq!((share(all.named_false_alarms), share(all.all_false_alarms)), ((1, 2), (1, 2)));
         assert_eq!((share(all.unknown_foreign), share(all.unknown_withheld)), ((1, 2), (2, 4)));
         assert_eq!((share(all.pairs), all.closed_right_pct), ((1, 1), Some(75.0)));
-        // Among calls of at least .5 the wrong one of c is gone.
+        // Among answers with at least 0.5, the wrong answer for c is left out.
         let half = figures.curve.iter().find(|c| c.p == 0.5).unwrap();
         assert_eq!((share(half.coverage), share(half.precision)), ((1, 4), (1, 2)));
         let lag = figures.effects.iter().find(|e| e.effect == "extra_lag").unwrap();

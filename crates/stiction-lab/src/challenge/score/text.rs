@@ -1,4 +1,4 @@
-//! The figures for people.
+//! The figures as text for people.
 
 use core::fmt::{self, Display, Formatter};
 
