@@ -7,12 +7,12 @@ use crate::truth::draw::{Draw, std_dev};
 use stiction::core::record::Record;
 use stiction::core::units::ns_from_s;
 
-/// Scans before the records begin.
+/// Scans before the start of the records.
 const BEFORE: usize = 800;
 /// Draws of a loop before another case is drawn.
 const TRIES: usize = 40;
 
-/// What the other loop is to this one.
+/// Relation of the other loop to this one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Relation {
     /// Its PV or flow acts on this loop.
@@ -21,12 +21,12 @@ pub enum Relation {
     Follows,
 }
 
-/// A loop, the other one and what they are to one another.
+/// A pair of loops and their relation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Disturbed {
-    /// The loop that is diagnosed.
+    /// The diagnosed loop.
     pub record: Record,
-    /// The other one.
+    /// The other loop.
     pub other: Record,
     /// Periods of both, s.
     pub periods_s: [f64; 2],
@@ -40,7 +40,7 @@ pub struct Disturbed {
     pub noise_sd: f64,
 }
 
-/// A loop and what drives it beside others.
+/// A loop with its period, the amplitude of its PV, and its set point.
 struct Part {
     plant: Plant,
     period: f64,
@@ -57,7 +57,7 @@ fn cycling(draw: &mut Draw, wanted: f64, within: f64) -> Option<Part> {
 }
 
 impl Part {
-    /// Noise of a share of its swing, and a load that wanders by a share of it.
+    /// Noise and a wandering load, each relative to the loop's amplitude.
     fn own(&self, scans: usize, noise: f64, wander: f64, draw: &mut Draw) -> Own {
         let step = wander * self.pv / self.plant.process.gain.abs() / (20.0 * self.period).sqrt();
         let mut load = 0.0;
@@ -70,7 +70,7 @@ impl Part {
     }
 }
 
-/// Every so many scans from a start on, as a record of `scan_s` seconds a scan.
+/// Every `every`-th scan from a start on, as a record with `scan_s` seconds per scan.
 fn recorded([op, pv]: &[Vec<f64>; 2], rest_pv: f64, scan_s: f64, every: usize, offset: usize) -> Record {
     let from = BEFORE + offset;
     let thin = |x: &[f64]| -> Vec<f64> { x[from..].iter().step_by(every).copied().collect() };
@@ -81,7 +81,7 @@ fn recorded([op, pv]: &[Vec<f64>; 2], rest_pv: f64, scan_s: f64, every: usize, o
     record
 }
 
-/// Seconds a scan, and scans of a case.
+/// Seconds per scan, and scans of a case.
 fn timing(draw: &mut Draw, period: f64) -> (f64, usize) {
     let scan_s = draw.pick(&[1.0, 2.0, 5.0], 1.0);
     let n = (period * draw.log_between(8.0, 20.0)).clamp(700.0, 1_900.0);
@@ -104,7 +104,7 @@ pub fn disturbed(stream: &str, seed: u64, number: u64, relation: Relation) -> Di
 fn attempted(draw: &mut Draw, relation: Relation) -> Option<Disturbed> {
     let wanted = draw.log_between(65.0, 180.0);
     let sticks = relation == Relation::Follows || draw.chance(0.5);
-    // The one that acts cycles by its valve; what it acts on may do so, too, at a period of its own.
+    // The acting loop cycles by its valve; the loop that it acts on may do so, too, with its own period.
     let source = cycling(draw, wanted, 0.15)?;
     let share = draw.pick(&[0.9, 0.97, 1.03, 1.1, 0.6, 1.6], 1.0);
     let target = if relation == Relation::Acts && sticks {
@@ -130,7 +130,7 @@ fn attempted(draw: &mut Draw, relation: Relation) -> Option<Disturbed> {
         lag: source.period * draw.log_between(0.01, 0.2),
         dead_time: (source.period * draw.between(0.0, 0.2)) as usize,
     };
-    // Nothing else acts on the loop that is diagnosed.
+    // Nothing else acts on the diagnosed loop.
     let (me, other) = if relation == Relation::Acts { (1, 0) } else { (0, 1) };
     let mut own = [Own::default(), Own::default()];
     for (k, part) in [&source, &target].into_iter().enumerate() {
@@ -160,8 +160,8 @@ fn attempted(draw: &mut Draw, relation: Relation) -> Option<Disturbed> {
     })
 }
 
-/// Loops that have nothing to do with one recorded from `start_ns` for `duration_s`: each cycles by its own valve, with a
-/// period 1 to 10 % from one of these, s.
+/// Loops unrelated to `like`, recorded over the same time: each cycles by its own valve, with a period that differs by 1 to 10
+/// % from one of `periods_s`.
 #[must_use]
 pub fn unrelated_loops(seed: u64, number: u64, count: usize, like: &Record, periods_s: &[f64]) -> Vec<Record> {
     let scan_s = like.ts_s;

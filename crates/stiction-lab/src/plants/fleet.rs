@@ -1,4 +1,4 @@
-//! Many loops at once, for timing: the loops of a few plants at several speeds, among calm ones.
+//! Many loops at once, for timing: loops of a few plants at several speeds, among calm ones.
 
 use std::sync::Arc;
 
@@ -9,37 +9,37 @@ use stiction::core::record::Record;
 use stiction::core::signal::stats::span;
 use stiction::core::verdict::{Assessment, Oscillation, Window};
 
-/// Plants that are drawn of either kind.
+/// Number of plants drawn of either difficulty.
 const PLANTS: u64 = 12;
-/// A plant's slowest and fastest copy, as a factor on its periods.
+/// Factors on the periods of a plant's fastest and slowest copy.
 const SPEEDS: [f64; 2] = [0.25, 4.0];
-/// One loop in so many oscillates.
+/// One in this many loops oscillates.
 const OSCILLATING: usize = 5;
 /// Points of a calm loop.
 const CALM_POINTS: usize = 600;
 /// End of all windows, ns.
 const END_NS: i64 = 1_000_000_000_000_000;
 
-/// A loop, and what its window says alone. That is made up: a comparison takes as long whatever it says.
+/// A loop with a made-up assessment, which does not affect the time of a comparison.
 #[derive(Debug, Clone)]
 pub struct FleetLoop {
-    /// Its name.
+    /// The loop's name.
     pub name: String,
-    /// Its window.
+    /// The loop's window.
     pub record: Arc<Record>,
-    /// Its assessment.
+    /// The made-up assessment.
     pub assessment: Assessment,
 }
 
 impl FleetLoop {
-    /// The loop as it is compared.
+    /// The loop as input of the comparison.
     #[must_use]
     pub fn of_plant(&self) -> PlantLoop<'_> {
         PlantLoop { name: &self.name, record: &self.record, assessment: &self.assessment, area: None, upstream: &[] }
     }
 }
 
-/// So many loops, one in five of which oscillates; the same ones in every call.
+/// This many loops, one in five of which oscillates; the same loops in every call.
 #[must_use]
 pub fn fleet(loops: usize) -> Vec<FleetLoop> {
     let wanted = loops / OSCILLATING;

@@ -1,4 +1,4 @@
-//! Draws a plant: its oscillations and who makes them, who follows, who oscillates alone, and how all are archived.
+//! Draws a plant: its oscillations with their sources and followers, loops that oscillate alone, and how all are archived.
 
 use super::network::{Edge, Entry, Origin, Own, run};
 use super::{CaseLoop, Difficulty, Role};
@@ -12,23 +12,23 @@ use stiction::core::record::Record;
 use stiction::core::sim::process::ProcessModel;
 use stiction::core::units::ns_from_s;
 
-/// Sampling times that archives have, scans.
+/// Typical sampling times of archives, scans.
 const SAMPLING: [usize; 7] = [1, 2, 5, 10, 15, 30, 60];
-/// Scans before the archive begins.
+/// Scans before the start of the archive.
 const BEFORE: usize = 2000;
-/// Draws of one oscillating loop before the plant does without it.
+/// Draws of one oscillating loop before it is left out.
 const TRIES: usize = 12;
 /// Longest window, periods.
 const PERIODS: f64 = 20.0;
 
-/// A loop while its plant is drawn.
+/// A loop during the drawing of its plant.
 struct Part {
     plant: Plant,
     role: Role,
     group: Option<usize>,
     sticks: bool,
     period: f64,
-    /// Size of its PV's oscillation, and of the noise and of the wander on it, as shares of that size.
+    /// Amplitude of its PV, and noise and wander relative to it.
     pv: f64,
     noise: f64,
     wander: f64,
@@ -77,7 +77,7 @@ fn attempt(draw: &mut Draw, difficulty: Difficulty) -> Option<Vec<CaseLoop>> {
     drawn.archived(draw)
 }
 
-/// A loop that oscillates by its sticking valve with about this period, scans, and the size of its PV's oscillation.
+/// A loop whose sticking valve oscillates with about this period, scans, and the amplitude of its PV.
 pub(super) fn sticking(draw: &mut Draw, wanted: f64, within: f64) -> Option<(Plant, f64, f64)> {
     for _ in 0..TRIES {
         let Some(plant) = one::plant(draw) else { continue };
@@ -104,8 +104,8 @@ pub(super) fn sticking(draw: &mut Draw, wanted: f64, within: f64) -> Option<(Pla
     None
 }
 
-/// A healthy loop whose process takes about `slowness` scans, its controller tuned to `tight` of the gain at which it rings;
-/// also the period of that ringing.
+/// A healthy loop whose process takes about `slowness` scans, its controller tuned to `tight` of the gain at the stability
+/// limit; also the period at that limit.
 pub(super) fn healthy(draw: &mut Draw, slowness: f64, tight: f64) -> Option<(Plant, f64)> {
     let mut plant = one::plant(draw)?;
     let (tau, dead_time) = (slowness.max(3.0), (slowness * draw.between(0.08, 0.4)).max(1.0));
@@ -119,7 +119,7 @@ pub(super) fn healthy(draw: &mut Draw, slowness: f64, tight: f64) -> Option<(Pla
     Some((plant, ringing))
 }
 
-/// Of a valve that follows its signal.
+/// Packing of a valve that follows its signal.
 const NO_PACKING: Packing = Packing { fs: 1e-4, fc: 1e-5, vs: 1.0, fv: 1e-3 };
 
 impl Drawn {
@@ -131,7 +131,7 @@ impl Drawn {
         draw.log_between(100.0, self.scans as f64 / 12.0)
     }
 
-    /// An oscillation with its source (one time in three from outside) and 1 to 8 followers, in a chain or side by side.
+    /// An oscillation with its source (one in three is external) and 1 to 8 followers, in a chain or in parallel.
     fn add_group(&mut self, draw: &mut Draw, group: usize, size: usize) {
         let hard = self.is_hard();
         let mut period = self.period(draw);
@@ -139,7 +139,7 @@ impl Drawn {
         let room = size.saturating_sub(self.parts.len() + 2);
         let followers = (1 + draw.pick(&[0, 1, 2, 3, 4, 5, 6, 7], 0)).min(room).max(1 + usize::from(outside));
         let source = self.parts.len();
-        // What each member sends on: who, and how large its oscillation is, as PV and as flow.
+        // The output of each member: its origin, and the amplitude of its oscillation, as PV and as flow.
         let mut senders: Vec<(Origin, f64)> = Vec::new();
         if outside {
             self.outside.push(load(draw, period, self.scans, hard));
@@ -217,7 +217,7 @@ impl Drawn {
         self.periods.push(period);
     }
 
-    /// A loop that nobody drives: calm, sticking or tuned too tight, often of nearly a group's period.
+    /// A loop that no other drives: calm, sticking or tuned too tight, often with nearly a group's period.
     fn add_alone(&mut self, draw: &mut Draw) -> Option<()> {
         let near = !self.periods.is_empty() && draw.chance(0.7);
         let wanted = if near { draw.pick(&self.periods, 300.0) } else { self.period(draw) };
@@ -247,7 +247,7 @@ impl Drawn {
         Some(())
     }
 
-    /// Runs the plant and archives the end of every loop.
+    /// Runs the plant and archives the end of every loop's signals.
     fn archived(self, draw: &mut Draw) -> Option<Vec<CaseLoop>> {
         let own: Vec<Own> = self.parts.iter().map(|part| self.own(part, draw)).collect();
         let plants: Vec<Plant> = self.parts.iter().map(|part| part.plant.clone()).collect();
@@ -310,7 +310,7 @@ impl Drawn {
     }
 }
 
-/// A load of size 1 from outside whose phase wanders a little.
+/// An external load of size 1 whose phase wanders slightly.
 fn load(draw: &mut Draw, period: f64, scans: usize, hard: bool) -> Vec<f64> {
     let shape = draw.between(0.0, 1.0);
     let [sines, squares] = if hard { [0.2, 0.55] } else { [0.5, 0.8] };

@@ -1,9 +1,9 @@
-//! Plants of 8 to 60 loops of known truth: sticking valves that shake their neighbours, loads from outside that shake several
-//! loops, and loops that oscillate by themselves at nearly the same period.
+//! Plants of 8 to 60 loops of known truth: sticking valves that disturb their neighbours, external loads that disturb several
+//! loops, and loops that oscillate independently at nearly the same period.
 //!
-//! The loops are those of [`crate::challenge`]: valves from forces, processes with pipes, at sub-sample steps, so that neither
-//! He's law nor the library's process model makes them. Followers sit behind lag and dead time, in chains and with
-//! recycle; every loop is archived at its own sampling time (1 to 60 s), some through a historian.
+//! The loops are those of [`crate::challenge`]: force-balance valves, processes with pipes, at sub-sample steps, so that they
+//! match neither He's law nor the library's process model. Followers are connected through lag and dead time, in chains and
+//! with recycle; every loop is archived at its own sampling time (1 to 60 s), some through a historian.
 
 mod disturbed;
 mod fleet;
@@ -16,7 +16,7 @@ pub use fleet::{FleetLoop, fleet};
 use stiction::core::record::Record;
 use stiction::core::units::ns_from_s;
 
-/// How hard a plant is made.
+/// Difficulty of a plant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Difficulty {
     /// 20 periods, lagged followers, sines as often as other loads.
@@ -27,10 +27,10 @@ pub enum Difficulty {
 }
 
 impl Difficulty {
-    /// Both.
+    /// Both difficulties.
     pub const ALL: [Self; 2] = [Self::Easy, Self::Hard];
 
-    /// Its name in streams and tables.
+    /// The name in random streams and tables.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -40,28 +40,28 @@ impl Difficulty {
     }
 }
 
-/// What a loop is in its plant.
+/// Role of a loop in its plant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Role {
-    /// Its sticking valve makes the group's oscillation.
+    /// Its sticking valve causes the group's oscillation.
     Source,
-    /// A source of its group drives it.
+    /// The source of its group drives it.
     Follower,
-    /// A load from outside drives it.
+    /// An external load drives it.
     Driven,
     /// It does not oscillate.
     Calm,
-    /// Its valve sticks, and it drives nobody.
+    /// Its valve sticks, and it drives no other loop.
     Sticking,
-    /// Its controller is tuned too tight, and it drives nobody.
+    /// Its controller is tuned too tight, and it drives no other loop.
     Tight,
 }
 
 impl Role {
-    /// All of them.
+    /// All roles.
     pub const ALL: [Self; 6] = [Self::Source, Self::Follower, Self::Driven, Self::Calm, Self::Sticking, Self::Tight];
 
-    /// Its name in tables.
+    /// The name in tables.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -75,22 +75,22 @@ impl Role {
     }
 }
 
-/// A loop of a plant as it was archived, and what is true of it.
+/// A loop of a plant as archived, with its truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CaseLoop {
-    /// Its name.
+    /// The loop's name.
     pub name: String,
-    /// Its last window.
+    /// The loop's last window.
     pub record: Record,
-    /// What it is.
+    /// The loop's role.
     pub role: Role,
-    /// The oscillation that it shares with others.
+    /// Index of the oscillation that it shares with others.
     pub group: Option<usize>,
     /// Whether its valve sticks.
     pub sticks: bool,
 }
 
-/// A plant: the draws of its stream (such as a half's name), its seed and difficulty give every bit of it.
+/// A plant: the stream (such as a half's name), the seed and the difficulty determine every bit of it.
 #[must_use]
 pub fn plant(stream: &str, seed: u64, difficulty: Difficulty) -> Vec<CaseLoop> {
     generator::plant(stream, seed, difficulty)

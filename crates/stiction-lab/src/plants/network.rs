@@ -1,19 +1,19 @@
-//! Loops that act on one another: each scan they are stepped together, through lags and dead times between them.
+//! Loops that act on each other: they are stepped together in every scan, through lags and dead times between them.
 
 use crate::challenge::plant::{Loop, Plant};
 
-/// What an edge carries.
+/// Signal that an edge carries.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Origin {
-    /// PV of a loop, from its rest.
+    /// PV of a loop, relative to its operating point.
     Pv(usize),
-    /// The flow through a loop's valve, from its rest.
+    /// Flow through a loop's valve, relative to its operating point.
     Flow(usize),
-    /// A load from outside.
+    /// An external load.
     Outside(usize),
 }
 
-/// Where an edge ends.
+/// Where an edge enters a loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Entry {
     /// The process input, OP units.
@@ -22,7 +22,7 @@ pub(super) enum Entry {
     Pv,
 }
 
-/// One way by which a loop is shaken.
+/// One connection through which a loop is disturbed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Edge {
     pub from: Origin,
@@ -35,10 +35,10 @@ pub(super) struct Edge {
     pub dead_time: usize,
 }
 
-/// What drives one loop besides its neighbours, a value a scan.
+/// Inputs of one loop besides its neighbours, one value per scan.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Own {
-    /// Set point less the rest, PV units.
+    /// Set point relative to the operating point, PV units.
     pub sp: f64,
     /// At the process input, OP units.
     pub load: Vec<f64>,
@@ -46,7 +46,7 @@ pub(super) struct Own {
     pub noise: Vec<f64>,
 }
 
-/// OP and PV of each loop for as many scans as the drives have.
+/// OP and PV of each loop, for as many scans as the inputs have.
 pub(super) fn run(plants: &[Plant], own: &[Own], edges: &[Edge], outside: &[Vec<f64>]) -> Vec<[Vec<f64>; 2]> {
     let scans = own.first().map_or(0, |own| own.load.len());
     let mut loops: Vec<Loop> = plants.iter().zip(own).map(|(plant, own)| Loop::new(plant, scans, own.sp)).collect();

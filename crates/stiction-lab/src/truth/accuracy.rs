@@ -1,4 +1,4 @@
-//! Sticking loops for the accuracy of s and j: one regime says what is held fixed, all else is drawn.
+//! Sticking loops for the accuracy of s and j: the regime fixes one property, and everything else is drawn.
 
 use super::TruthLoop;
 use super::draw::{Draw, scaled, span, std_dev};
@@ -9,7 +9,7 @@ use stiction::core::sim::friction::Friction;
 use stiction::core::sim::noise::quantise;
 use stiction::core::sim::process::ProcessModel;
 
-/// Kinds of sticking loops, each with a row of its own in a table.
+/// Kinds of sticking loops, each with its own row in the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Regime {
     /// He's law, limit cycle with its start.
@@ -34,9 +34,9 @@ pub enum Regime {
     FewCycles,
     /// 10 to 25 periods.
     ManyCycles,
-    /// 50 to 80 samples a period.
+    /// 50 to 80 samples per period.
     ShortPeriod,
-    /// 80 to 300 samples a period.
+    /// 80 to 300 samples per period.
     LongPeriod,
     /// First order and dead time.
     FirstOrder,
@@ -44,17 +44,17 @@ pub enum Regime {
     SecondOrder,
     /// Integrating and dead time.
     Integrating,
-    /// A sine that no model knows of.
+    /// An unmodelled sine.
     UnknownSine,
-    /// A random walk that no model knows of.
+    /// An unmodelled random walk.
     UnknownWalk,
-    /// A step that no model knows of.
+    /// An unmodelled step.
     UnknownStep,
-    /// Coloured noise that no model knows of.
+    /// Unmodelled coloured noise.
     UnknownColoured,
-    /// A ramp that no model knows of.
+    /// An unmodelled ramp.
     UnknownRamp,
-    /// A valve of forces instead of a law.
+    /// A force-balance valve instead of a law.
     PhysicalValve,
     /// OP recorded in steps of 0.1.
     RoundedOp,
@@ -91,7 +91,7 @@ impl Regime {
         Self::Decimated,
     ];
 
-    /// Its name in tables and streams.
+    /// The regime's name in tables and random streams.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -122,13 +122,13 @@ impl Regime {
         }
     }
 
-    /// Whether the valve follows a law, OP is recorded as it was, and only white noise is on PV.
+    /// Whether the valve follows a law, OP is recorded exactly, and PV has only white noise.
     #[must_use]
     pub const fn is_matched(self) -> bool {
         !matches!(self, Self::PhysicalValve | Self::RoundedOp | Self::Decimated) && !self.is_disturbed()
     }
 
-    /// Whether something unmodelled moves PV.
+    /// Whether an unmodelled disturbance moves PV.
     #[must_use]
     pub const fn is_disturbed(self) -> bool {
         matches!(
@@ -154,7 +154,7 @@ impl Regime {
             Self::HeStart | Self::TrackingStart => Shape::Start,
             Self::HeSteady | Self::TrackingSteady => Shape::Steady,
             Self::HeSetPoint | Self::TrackingSetPoint => Shape::SetPoint,
-            // A period to speak of needs a cycle.
+            // Only a cycle has a period.
             Self::FewCycles | Self::ManyCycles | Self::ShortPeriod | Self::LongPeriod => cycle,
             _ => any,
         }
@@ -169,7 +169,7 @@ impl Regime {
         }
     }
 
-    /// Samples, and samples a period.
+    /// Samples, and samples per period.
     fn length(self, draw: &mut Draw) -> (usize, f64) {
         let (cycles, periods) = match self {
             Self::FewCycles => ((5.0, 8.0), (125.0, 300.0)),
@@ -183,7 +183,7 @@ impl Regime {
         (draw.between(least.min(most), most) as usize, period)
     }
 
-    /// What no model knows of, of half span 1.
+    /// The unmodelled disturbance, with half span 1.
     fn disturbance(self, draw: &mut Draw, period: f64, n: usize, from: usize) -> Option<Vec<f64>> {
         let (ends, at) = (n as f64, draw.between(0.2, 0.8));
         let at_s = from as f64 + at * (ends - from as f64);
@@ -221,7 +221,7 @@ impl Shape {
     }
 }
 
-/// Order of the process, its name, and the process in units in which it takes about 20 scans.
+/// A process in units in which it takes about 20 scans, and the name of its order.
 pub(super) fn process(draw: &mut Draw, kind: usize) -> (ProcessModel, &'static str) {
     let gain = draw.sign() * draw.log_between(0.4, 3.0) * draw.pick(&[0.1, 1.0, 4.0, 15.0], 1.0);
     let dead_time = 20.0 * draw.log_between(0.05, 0.8);
@@ -236,7 +236,7 @@ pub(super) fn process(draw: &mut Draw, kind: usize) -> (ProcessModel, &'static s
     }
 }
 
-/// A physical valve whose friction spans staircase to smooth tracking at the pace of a cycle of `period` scans.
+/// A physical valve whose friction ranges from staircase to smooth tracking at the speed of a cycle of `period` scans.
 pub(super) fn physical(draw: &mut Draw, fs: f64, fd: f64, period: f64) -> Friction {
     let pace = 2.0 * (fs + fd) / period;
     let vs = pace * draw.log_between(0.1, 10.0);
@@ -249,8 +249,8 @@ fn still(valve: &ValveModel) -> f64 {
     if valve.law == ValveLaw::Physical { 2e-3 * valve.fs } else { 1e-9 }
 }
 
-/// Whether a record can show its sticking valve: the stem moves several times, by more than a small part of its band, and the band
-/// is not lost in OP's travel.
+/// Whether a record can show its sticking valve: the stem moves several times, by more than a small part of its band, and the
+/// band is not small compared with OP's travel.
 pub(super) fn shows_stiction(valve: &ValveModel, seen: &Run) -> bool {
     let (s, _) = bands(valve);
     motions(&seen.mv, still(valve)) >= 4 && span(&seen.mv) >= 0.1 * s && s >= 0.08 * span(&seen.op)
@@ -273,10 +273,11 @@ pub(super) const fn law_name(law: ValveLaw) -> &'static str {
     }
 }
 
-/// A limit cycle's rig with the period wanted (scans), by a run without noise; and that run.
+/// The rig of a limit cycle with the requested period (scans), from a run without noise; also that run and its initial offset,
+/// OP units.
 pub(super) fn cycling(mut rig: Rig, draw: &mut Draw, period: f64) -> Option<(Rig, Run, f64)> {
     const PILOT: usize = 2_400;
-    // Away from the rest, so that no position of the stem suits.
+    // Away from the operating point, so that no stem position is in equilibrium.
     let start = draw.sign() * draw.between(0.6, 2.0) * rig.valve.fs;
     for _ in 0..2 {
         let mut drive = Drive::none(PILOT);
@@ -285,7 +286,7 @@ pub(super) fn cycling(mut rig: Rig, draw: &mut Draw, period: f64) -> Option<(Rig
         let (_, now) = turns(&run.mv, still(&rig.valve));
         let now = now?;
         if (now / period - 1.0).abs() < 0.1 {
-            // It lasts: the last quarter swings as the one before.
+            // Sustained: the last quarter oscillates like the one before.
             let (third, last) = (span(&run.pv[PILOT / 2..PILOT * 3 / 4]), span(&run.pv[PILOT * 3 / 4..]));
             return ((last / third - 1.0).abs() < 0.3).then_some((rig, run, start));
         }
@@ -298,7 +299,7 @@ pub(super) fn cycling(mut rig: Rig, draw: &mut Draw, period: f64) -> Option<(Rig
     ((now? / period - 1.0).abs() < 0.2).then_some((rig, run, start))
 }
 
-/// One loop of `regime`, or none if what was drawn does not fit it.
+/// One loop of `regime`, or `None` if the draw does not fit it.
 pub(super) fn attempt(draw: &mut Draw, regime: Regime) -> Option<TruthLoop> {
     let law = regime.law(draw);
     let shape = regime.shape(draw);
@@ -333,7 +334,7 @@ pub(super) fn attempt(draw: &mut Draw, regime: Regime) -> Option<TruthLoop> {
     let (mut rig, pilot, start) = cycling(rig, draw, wanted)?;
     rig.valve = ValveModel { friction: physical(draw, fs, valve.fd, wanted), ..valve };
 
-    // What drives it.
+    // Inputs of the loop.
     let from = if shape == Shape::Steady { (n as f64 * draw.between(0.55, 1.0)) as usize } else { 0 };
     let total = n + from;
     let mut drive = Drive::none(total);
@@ -349,13 +350,13 @@ pub(super) fn attempt(draw: &mut Draw, regime: Regime) -> Option<TruthLoop> {
     let size = draw.between(0.2, 1.0);
     let mut disturbance = 0.0;
     if let Some(series) = regime.disturbance(draw, wanted, total, from) {
-        // Half of them come in at the process input; by linearity that is the same as their answer on PV.
+        // Half of the disturbances enter at the process input; for a linear process that equals their response added to PV.
         let series = if !process.integrating && draw.chance(0.5) { rig.through_process(&series) } else { series };
         drive.pv = scaled(&series, size * half_swing);
         disturbance = size;
     }
 
-    // Noise by PV's spread without it.
+    // The noise is relative to PV's spread without it.
     let calm = rig.run(&drive, 0.0, 0).thinned(from, every);
     let noise_sd = share * std_dev(&calm.pv);
     let mut run = rig.run(&drive, noise_sd, draw.seed()).thinned(from, every);

@@ -1,9 +1,10 @@
 //! Loops for the cause of an oscillation: tuning, a disturbance, the valve, or none of these.
 //!
-//! Half of the loops follow a set point that moves. A healthy valve is either ideal or a force-balance valve whose band is 1 to 3 %
-//! of OP's travel, since no real valve is without friction. A loop that rings has a damping of 0.01 to 0.12, a sluggish one takes
-//! five to fifteen times as long as its process. A well-tuned loop has a maximum sensitivity of at most 2.2 and takes at most four
-//! times as long as its process, if that regulates itself. What lies between is nobody's fault and is not drawn.
+//! Half of the loops follow a moving set point. A healthy valve is either ideal or a force-balance valve whose band is 1 to 3 %
+//! of OP's travel, because no real valve is without friction. A ringing loop has a damping of 0.01 to 0.12, a sluggish one
+//! takes five to fifteen times as long as its process. A well-tuned loop has a maximum sensitivity of at most 2.2 and takes at
+//! most four times as long as its process if that is self-regulating. Loops between these limits have no clear cause and are
+//! not drawn.
 
 use super::TruthLoop;
 use super::accuracy::{bands, cycling, law_name, physical, shows_stiction};
@@ -13,7 +14,7 @@ use super::verdict::{self, LIMIT_CYCLE, PROCESS_KINDS, Plan};
 use stiction::core::sim::closed_loop::{ValveLaw, ValveModel};
 use stiction::core::sim::process::ProcessModel;
 
-/// What moves the loops of each cause. `sluggish` shows only where the set point moves.
+/// Excitations of the loops of each cause. `sluggish` needs a moving set point to be visible.
 const TUNING: [&str; 3] = ["tight gain", "too much integral", "sluggish"];
 const DISTURBANCE: [&str; 8] =
     ["sine", "two sines", "square", "triangle", "wandering sine", "bursts", "upstream limit cycle", "noisy cycle"];
@@ -22,14 +23,14 @@ const NONE: [&str; 4] = ["coloured", "random walk", "load steps", "noise only"];
 
 /// Causes, in turn by the seed.
 pub const CAUSES: [&str; 4] = ["tuning", "disturbance", "valve", "none"];
-/// Largest sensitivity of a well-tuned loop.
+/// Largest maximum sensitivity of a well-tuned loop.
 const WELL_TUNED: f64 = 2.2;
-/// Time of a well-tuned loop over that of its process, at most.
+/// Largest ratio of a well-tuned loop's time to that of its process.
 const NOT_SLUGGISH: f64 = 4.0;
 /// Damping of a loop that rings.
 const RINGING: [f64; 2] = [0.01, 0.12];
 
-/// The loop of a seed: what is the cause, whether the set point moves and what moves the loop take turns.
+/// The loop of a seed: the seed cycles through causes, constant and moving set points, and excitations.
 pub(super) fn attempt(draw: &mut Draw, seed: u64) -> Option<TruthLoop> {
     let cause = CAUSES[(seed % 4) as usize];
     let moves = seed / 4 % 2 == 1;
@@ -38,7 +39,7 @@ pub(super) fn attempt(draw: &mut Draw, seed: u64) -> Option<TruthLoop> {
         "tuning" => turn(if moves { &TUNING } else { &TUNING[..2] }),
         "disturbance" => turn(&DISTURBANCE),
         "valve" => turn(&VALVE),
-        // A set point that moves may be all that moves the loop.
+        // A moving set point may be the only excitation.
         _ => turn(&NONE),
     };
     let plan =
@@ -61,7 +62,7 @@ pub(super) fn attempt(draw: &mut Draw, seed: u64) -> Option<TruthLoop> {
         let moved = set_point(draw, kind, period, plan.scans());
         let by = swing * draw.log_between(0.25, 1.5);
         drive.sp.iter_mut().zip(moved).for_each(|(sp, more)| *sp += by * more);
-        // It moves while the record lasts.
+        // The set point must move within the record.
         if span(&drive.sp[plan.from..]) <= 0.0 {
             return None;
         }
@@ -69,14 +70,14 @@ pub(super) fn attempt(draw: &mut Draw, seed: u64) -> Option<TruthLoop> {
     record(draw, Case { plan, rig, drive, cause, kind, process_kind, period, size })
 }
 
-/// A record of 5 to 40 periods with 12 samples or more in each.
+/// A record of 5 to 40 periods with at least 12 samples each.
 fn lengths(draw: &mut Draw) -> Plan {
     let n = draw.log_between(400.0, 2_500.0);
     let period = n / draw.log_between(5.0, (n / 12.0).min(40.0));
     Plan { record_kind: "raw", n: n as usize, period, every: 1, from: (period * draw.between(1.0, 4.0)) as usize }
 }
 
-/// A loop with a healthy valve for this kind, and the kind of its process.
+/// A loop with a healthy valve for this kind of excitation, and its kind of process.
 fn rig(draw: &mut Draw, kind: &str, period: f64) -> Option<(usize, Rig)> {
     let (process_kind, ratio) = match kind {
         "sluggish" => (draw.pick(&[1, 2], 1), draw.log_between(0.05, 0.3)),
@@ -95,7 +96,7 @@ fn rig(draw: &mut Draw, kind: &str, period: f64) -> Option<(usize, Rig)> {
             rig.kc = rig.ti / (process.gain.abs() * time(&process) * draw.log_between(5.0, 15.0));
         }
         "too much integral" if process.integrating => {
-            // Of s^2 + K Kc s + K Kc / Ti; the dead time is short beside the period.
+            // Characteristic equation s^2 + K Kc s + K Kc / Ti; the dead time is short compared with the period.
             (rig.ti, rig.td) = (period * damping / core::f64::consts::PI, 0.0);
             rig.kc = 4.0 * damping * damping / (process.gain.abs() * rig.ti);
             rig.process.dead_time = process.dead_time.min(0.01 * period);
@@ -107,7 +108,7 @@ fn rig(draw: &mut Draw, kind: &str, period: f64) -> Option<(usize, Rig)> {
             let (most, ringing) = ultimate(&process, rig.ti, rig.td)?;
             rig.kc = most;
             rig = rig.stretched(period / ringing);
-            // A bump is measured over twenty periods.
+            // The response to a step is measured over twenty periods.
             let left = libm::exp(-20.0 * core::f64::consts::PI * damping);
             if !verdict::tighten(&mut rig, period, left) {
                 return None;
@@ -124,12 +125,12 @@ fn rig(draw: &mut Draw, kind: &str, period: f64) -> Option<(usize, Rig)> {
     Some((process_kind, rig))
 }
 
-/// Time of a process, scans: its lags, its dead time and half a scan for the hold.
+/// Time of a process, scans: its lags, its dead time, and half a scan for the hold.
 fn time(process: &ProcessModel) -> f64 {
     process.tau + process.tau2 + process.dead_time + 0.5
 }
 
-/// The same loop with a valve that sticks; OP from which a cycle starts.
+/// The same loop with a sticking valve; also OP at the start of the cycle.
 fn sticking(draw: &mut Draw, rig: Rig, kind: &str, period: f64) -> Option<(Rig, f64)> {
     let law = draw.pick(&[ValveLaw::He, ValveLaw::Tracking, ValveLaw::Physical], ValveLaw::He);
     let (valve, as_law) = verdict::sticking_valve(draw, law, false, period);
@@ -141,12 +142,12 @@ fn sticking(draw: &mut Draw, rig: Rig, kind: &str, period: f64) -> Option<(Rig, 
     }
 }
 
-/// What moves the loop beside its set point. `size` is in OP units, at the process input.
+/// Inputs of the loop in addition to its set point. `size` is in OP units, at the process input.
 fn drive(draw: &mut Draw, kind: &str, rig: &Rig, size: f64, period: f64, n: usize) -> Option<Drive> {
     let [broad, beside] = [[0.1, 1.0], [0.02, 0.3]].map(|[least, most]| size * draw.log_between(least, most));
     let mut drive = match kind {
         LIMIT_CYCLE | "noise only" => return Some(Drive::none(n)),
-        // The load that rings the loop is broad, and hardly there where its set point does.
+        // The load that excites a ringing loop is broadband; it may be small, because the set point can excite the loop, too.
         _ if TUNING.contains(&kind) => verdict::drive(draw, "coloured", rig, broad, period, n),
         "noisy cycle" => {
             let cycle = noisy_cycle(draw, period, n);
@@ -157,7 +158,7 @@ fn drive(draw: &mut Draw, kind: &str, rig: &Rig, size: f64, period: f64, n: usiz
         _ => verdict::drive(draw, kind, rig, size, period, n),
     }?;
     if DISTURBANCE.contains(&kind) {
-        // Other loads go on beside the one that dominates.
+        // Other loads act in addition to the dominant one.
         let beside = verdict::drive(draw, "coloured", rig, beside, period, n)?;
         drive.load.iter_mut().zip(beside.load).for_each(|(x, more)| *x += more);
         drive.pv.iter_mut().zip(beside.pv).for_each(|(x, more)| *x += more);
@@ -165,7 +166,7 @@ fn drive(draw: &mut Draw, kind: &str, rig: &Rig, size: f64, period: f64, n: usiz
     Some(drive)
 }
 
-/// A rotation that is damped and driven by noise (Harvey 1989): it forgets its phase within some periods.
+/// A damped rotation driven by noise (Harvey 1989): it forgets its phase within a few periods.
 fn noisy_cycle(draw: &mut Draw, period: f64, n: usize) -> Vec<f64> {
     let turn = 2.0 * core::f64::consts::PI / period;
     let r = libm::exp(-1.0 / (draw.log_between(1.0, 6.0) * period));
@@ -194,7 +195,7 @@ fn set_point(draw: &mut Draw, kind: &str, period: f64, n: usize) -> Vec<f64> {
     scaled(&series, 0.5)
 }
 
-/// A loop before it runs.
+/// A loop before its run.
 struct Case {
     plan: Plan,
     rig: Rig,
@@ -206,7 +207,7 @@ struct Case {
     size: f64,
 }
 
-/// Runs and stores it. `None` where it is no case.
+/// Runs and stores the loop. `None` if the result is not a valid case.
 fn record(draw: &mut Draw, case: Case) -> Option<TruthLoop> {
     let Case { plan, mut rig, drive, cause, kind, process_kind, period, size } = case;
     let calm = rig.run(&drive, 0.0, 0).thinned(plan.from, 1);

@@ -1,4 +1,4 @@
-//! Seeded draws, the shapes that disturb a loop, and two measures of a series.
+//! Seeded draws, disturbance shapes, and two statistics of a series.
 
 use stiction::core::sim::disturbance::{Disturbance, DisturbanceState};
 use stiction::core::sim::noise::{Noise, stream_of};
@@ -8,22 +8,22 @@ use stiction::core::sim::noise::{Noise, stream_of};
 pub struct Draw(Noise);
 
 impl Draw {
-    /// The draws of `seed` for a purpose; each purpose is a stream of its own.
+    /// The draws of `seed` for a purpose; each purpose has its own stream.
     pub fn new(seed: u64, purpose: &str) -> Self {
         Self(Noise::new(seed, stream_of(purpose)))
     }
 
-    /// Evenly between two values.
+    /// Uniform between two values.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.0.uniform()
     }
 
-    /// Between two values above 0, evenly in their logarithm.
+    /// Log-uniform between two positive values.
     pub fn log_between(&mut self, low: f64, high: f64) -> f64 {
         libm::exp(self.between(libm::log(low), libm::log(high)))
     }
 
-    /// Whether something of probability `p` happens.
+    /// Whether an event of probability `p` occurs.
     pub fn chance(&mut self, p: f64) -> bool {
         self.0.chance(p)
     }
@@ -33,33 +33,33 @@ impl Draw {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 
-    /// One of several; `or` of none.
+    /// A random element; `or` for an empty slice.
     pub fn pick<T: Copy>(&mut self, from: &[T], or: T) -> T {
         from.get(self.0.below(from.len() as u64) as usize).copied().unwrap_or(or)
     }
 
-    /// Normal, of mean 0 and standard deviation 1.
+    /// Standard normal.
     pub fn gaussian(&mut self) -> f64 {
         self.0.gaussian()
     }
 
-    /// A seed for something that draws by itself.
+    /// A seed for another generator.
     pub fn seed(&mut self) -> u64 {
         self.0.below(1 << 52)
     }
 
-    /// A source of its own.
+    /// A separate noise source.
     pub fn noise(&mut self) -> Noise {
         Noise::new(self.seed(), 1)
     }
 
-    /// `n` values of a disturbance that counts scans for seconds.
+    /// `n` values of a disturbance, with scans as its seconds.
     pub fn series(&mut self, shape: Disturbance, n: usize) -> Vec<f64> {
         let mut state = DisturbanceState::new(shape, 1.0, self.noise());
         (0..n).map(|k| state.at(k as f64)).collect()
     }
 
-    /// A sine of amplitude 1 with a phase of its own.
+    /// A sine of amplitude 1 with random phase.
     pub fn sine(&mut self, period: f64, n: usize) -> Vec<f64> {
         let phase_deg = self.between(0.0, 360.0);
         self.series(Disturbance::Sine { amplitude: 1.0, period_s: period, phase_deg }, n)
@@ -81,7 +81,7 @@ impl Draw {
             .collect()
     }
 
-    /// A triangle of amplitude 1 with a phase of its own.
+    /// A triangle of amplitude 1 with random phase.
     pub fn triangle(&mut self, period: f64, n: usize) -> Vec<f64> {
         let phase = self.between(0.0, 1.0);
         let at = |k: usize| {
@@ -91,7 +91,7 @@ impl Draw {
         (0..n).map(at).collect()
     }
 
-    /// A square wave of amplitude 1 with a phase of its own.
+    /// A square wave of amplitude 1 with random phase.
     pub fn square(&mut self, period: f64, n: usize) -> Vec<f64> {
         let phase = self.between(0.0, 1.0);
         let at = |k: usize| {
@@ -101,7 +101,7 @@ impl Draw {
         (0..n).map(at).collect()
     }
 
-    /// Ramps between levels of -1..1, about `hold` scans each, resting in between.
+    /// Ramps between levels of -1..1, about `hold` scans each, with rests in between.
     pub fn ramps(&mut self, hold: f64, n: usize) -> Vec<f64> {
         let (mut out, mut level) = (Vec::with_capacity(n), 0.0);
         while out.len() < n {
@@ -117,7 +117,7 @@ impl Draw {
     }
 }
 
-/// From the least to the greatest.
+/// Difference of maximum and minimum.
 pub fn span(x: &[f64]) -> f64 {
     x.iter().copied().fold(f64::MIN, f64::max) - x.iter().copied().fold(f64::MAX, f64::min)
 }

@@ -1,21 +1,22 @@
-//! Closed loops whose truth is known, by the thousand: what estimates are calibrated on and reported against.
+//! Simulated closed loops of known truth, for calibration and evaluation.
 //!
-//! [`accuracy`] makes sticking, well-posed loops of one [`Regime`]; `s` and `j` are known, and the valve is seen to
-//! move. [`verdict_case`] makes healthy and sticking loops of every kind, hard ones too, as plants would store them.
-//! [`cause_case`] makes loops of a known cause, half of them behind a set point that moves. All are functions of (half, what, seed) alone, to the last bit.
+//! [`accuracy`] makes sticking, well-posed loops of one [`Regime`] with known `s` and `j`, whose valve visibly moves.
+//! [`verdict_case`] makes healthy and sticking loops of every kind, including hard ones, as plants would store them.
+//! [`cause_case`] makes loops of a known cause, half of them with a moving set point. All are functions of (half, what, seed)
+//! alone, to the last bit.
 //!
-//! Two [`Half`]s draw from streams of their own, so nothing that was calibrated on one is met in the other, whatever
-//! the seeds. Loops are drawn until one fits its regime; the attempt's number is part of the stream.
+//! The two [`Half`]s draw from separate streams, so nothing calibrated on one occurs in the other, whatever the seeds. Loops
+//! are drawn until one fits its regime; the number of the attempt is part of the stream.
 //!
-//! Bands are OP units (0..100 %), times scans unless they say seconds; `ts_s` is a label only.
+//! Bands are in OP units (0..100 %), times in scans unless they are in seconds; `ts_s` is a label only.
 //!
-//! | room | |
+//! | module | |
 //! |---|---|
-//! | `accuracy`, `verdict`, `causes` | what loops are drawn |
+//! | `accuracy`, `verdict`, `causes` | which loops are drawn |
 //! | [`draw`] | seeded draws |
-//! | [`rig`] | a loop with what drives it, and how it is tuned |
-//! | [`storage`] | what recording does to a signal |
-//! | [`fixture`] | loops that a test writes down |
+//! | [`rig`] | a loop with its inputs, and its tuning |
+//! | [`storage`] | effects of recording on a signal |
+//! | [`fixture`] | small loops that a test defines completely |
 //! | [`methods`] | published methods of detection, one file each |
 //! | [`rates`] | true and false positive rates as a table |
 
@@ -42,17 +43,17 @@ use stiction::core::verdict::AssessParams;
 use stiction_engine::analysis::Judgeable;
 use stiction_engine::engine::{WindowParams, windows};
 
-/// Which half of all loops: nothing fitted on one may be reported on the same.
+/// Half of all loops: nothing fitted on one may be reported on the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Half {
     /// For fitting weights, margins and thresholds.
     Calibration,
-    /// For the figures that are printed.
+    /// For reported figures.
     Report,
 }
 
 impl Half {
-    /// Its name in streams and tables.
+    /// The half's name in random streams and tables.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -62,7 +63,7 @@ impl Half {
     }
 }
 
-/// One simulated loop as it was recorded, and what is true of it.
+/// One simulated loop as recorded, with its truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TruthLoop {
     /// Controller output as recorded, OP units.
@@ -77,14 +78,14 @@ pub struct TruthLoop {
     pub ts_s: f64,
     /// Standard deviation of the white measurement noise, PV units.
     pub noise_sd: f64,
-    /// What a fit with the true model would leave of PV (standard deviation), where that is known: OP recorded as it
-    /// was, a valve that follows one of the laws, and nothing but white noise on PV.
+    /// Residual of a fit with the true model (standard deviation), if known: OP recorded exactly, a valve that follows one of
+    /// the laws, and only white noise on PV.
     pub floor_sd: Option<f64>,
     /// Whether the valve sticks.
     pub sticks: bool,
     /// Valve: `none`, `he`, `tracking` or `physical`.
     pub law: &'static str,
-    /// Stick band, OP units; none for a healthy valve. Measured on a slow ramp for the physical one.
+    /// Stick band, OP units; `None` for a healthy valve. For the physical valve measured on a slow ramp.
     pub s: Option<f64>,
     /// Slip jump, OP units.
     pub j: Option<f64>,
@@ -96,27 +97,27 @@ pub struct TruthLoop {
     pub travel: [f64; 2],
     /// Seed of the draws.
     pub seed: u64,
-    /// What moves the loop: `limit cycle`, or the name of the excitation.
+    /// Excitation of the loop: `limit cycle`, or its name.
     pub kind: &'static str,
     /// `fast flow`, `first order`, `second order` or `integrating`.
     pub process_kind: &'static str,
-    /// How it was recorded: `raw`, or what the recording did to it.
+    /// Effect of recording: `raw`, or its name.
     pub record_kind: &'static str,
-    /// What makes it oscillate: `valve`, `tuning`, `disturbance` or `none`.
+    /// Cause of the oscillation: `valve`, `tuning`, `disturbance` or `none`.
     pub cause: &'static str,
     /// Regime of [`accuracy`] loops, else `verdict`.
     pub regime: &'static str,
-    /// Noise over PV's spread without noise.
+    /// Noise relative to PV's spread without noise.
     pub noise_share: f64,
-    /// Period aimed at, recorded samples.
+    /// Intended period, recorded samples.
     pub period: f64,
-    /// Size of what disturbs: over half the swing of the stick-slip PV in [`accuracy`], in OP units over fs in
-    /// sticking and OP units in healthy [`verdict_case`] loops.
+    /// Size of the disturbance: in [`accuracy`] loops relative to half the span of the stick-slip PV, in [`verdict_case`] loops
+    /// in OP units relative to fs if sticking, and in OP units if healthy.
     pub disturbance: f64,
 }
 
 impl TruthLoop {
-    /// The record an estimate gets: set point with it, valve position not.
+    /// The record for an estimate: with the set point, without the valve position.
     #[must_use]
     pub fn record(&self) -> Record {
         let mut record = Record::uniform(self.ts_s, self.op.clone(), self.pv.clone());
@@ -124,7 +125,7 @@ impl TruthLoop {
         record
     }
 
-    /// The record as a recording of it is judged.
+    /// The record with its windows, as a recording is judged.
     #[must_use]
     pub fn judgeable(&self) -> Judgeable {
         let record = self.record();
@@ -133,7 +134,7 @@ impl TruthLoop {
         Judgeable { record, windows, params: AssessParams { always_fit: true, ..AssessParams::default() } }
     }
 
-    /// Periods in the record, by the period aimed at.
+    /// Periods in the record, by the intended period.
     #[must_use]
     pub fn cycles(&self) -> f64 {
         self.pv.len() as f64 / self.period
@@ -154,7 +155,7 @@ fn point(record: &Record, k: usize) -> Point {
     }
 }
 
-/// Draws until `attempt` gives a loop.
+/// Draws until `attempt` returns a loop.
 fn first_that_fits(
     half: Half,
     what: &str,
@@ -163,7 +164,7 @@ fn first_that_fits(
 ) -> TruthLoop {
     let mut number = 0_u32;
     loop {
-        // This ends by success alone: draws are independent, and what fits is no rare thing in any regime or kind.
+        // This ends only on success: draws are independent, and valid draws are not rare in any regime or kind.
         let mut draw = draw::Draw::new(seed, &format!("truth/{}/{what}/{number}", half.name()));
         if let Some(mut found) = attempt(&mut draw) {
             found.seed = seed;
@@ -179,8 +180,8 @@ pub fn accuracy(half: Half, regime: Regime, seed: u64) -> TruthLoop {
     first_that_fits(half, regime.name(), seed, |draw| accuracy::attempt(draw, regime))
 }
 
-/// A loop for the verdict: healthy for even seeds, sticking for odd ones. The kinds take turns with `seed / 2`, all
-/// else is drawn.
+/// A loop for the verdict: healthy for even seeds, sticking for odd ones. `seed / 2` cycles through the kinds; everything else
+/// is drawn.
 #[must_use]
 pub fn verdict_case(half: Half, seed: u64) -> TruthLoop {
     verdict_stretch(half, seed, 1)
@@ -193,8 +194,8 @@ pub fn verdict_stretch(half: Half, seed: u64, windows: usize) -> TruthLoop {
     first_that_fits(half, what, seed, |draw| verdict::attempt(draw, sticks, seed / 2, windows))
 }
 
-/// A loop of a known cause: tuning, a disturbance, the valve or none take turns with the seed, constant and moving set points
-/// with `seed / 4`, kinds with `seed / 8`.
+/// A loop of a known cause: the seed cycles through tuning, disturbance, valve and none, `seed / 4` through constant and moving
+/// set points, `seed / 8` through kinds.
 #[must_use]
 pub fn cause_case(half: Half, seed: u64) -> TruthLoop {
     first_that_fits(half, "cause", seed, |draw| causes::attempt(draw, seed))
@@ -229,12 +230,12 @@ mod tests {
     fn the_valve_obeys_its_law_in_slip_coordinates_too() {
         for (regime, law) in [(Regime::HeStart, Law::He), (Regime::TrackingSetPoint, Law::Tracking)] {
             let cases = (0..12).map(|seed| accuracy(Half::Calibration, regime, seed));
-            // Its rest shows at the start, unless the first scan moves it.
+            // The initial position is visible unless the first scan moves the stem.
             for found in cases.filter(|found| found.mv[0] == found.mv[1]).take(4) {
                 let seed = found.seed;
                 let (s, j) = (found.s.unwrap(), found.j.unwrap());
                 let (fs, fd) = (0.5 * (s + j), 0.5 * (s - j));
-                // The stem rests where the loop rests: an upward slip needs OP above that by fs.
+                // The stem starts at the operating point: an upward slip needs OP to be fs above it.
                 let rest = found.mv[0];
                 let first = found.mv.iter().position(|v| *v != rest).unwrap();
                 let direction = (found.op[first] - rest).signum();
@@ -252,7 +253,7 @@ mod tests {
     fn the_noise_is_what_the_truth_says() {
         let found = accuracy(Half::Report, Regime::HighNoise, 1);
         assert!((found.floor_sd, found.sticks) == (Some(found.noise_sd), true));
-        // Second differences hold six times the noise's variance, and little of the process.
+        // Second differences contain six times the noise variance, and little of the process.
         let rough: f64 = found.pv.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).powi(2)).sum();
         let sd = (rough / (6.0 * (found.pv.len() - 2) as f64)).sqrt();
         assert!((0.9..1.3).contains(&(sd / found.noise_sd)), "{sd} {}", found.noise_sd);

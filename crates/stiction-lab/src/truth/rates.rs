@@ -1,21 +1,21 @@
-//! True and false positive rates of known truth, by what moves the loop: one table for every command that counts them.
+//! True and false positive rates on loops of known truth, by excitation: one table for every command that counts them.
 
 use std::collections::BTreeMap;
 
 use stiction::core::verdict::tally::{self, Scored, wilson};
 
-/// One loop of known truth, and whether each decision calls it sticking.
+/// One loop of known truth, and the decisions that call it sticking.
 #[derive(Debug, Clone, Copy)]
 pub struct Called<'k, const N: usize> {
-    /// What moves the loop.
+    /// Excitation of the loop.
     pub kind: &'k str,
     /// The valve sticks.
     pub sticks: bool,
-    /// Whether it is called sticking, by decision.
+    /// Whether each decision calls the valve sticking.
     pub called: [bool; N],
 }
 
-/// `part` of `all` with Wilson's 95 % interval, per cent; `-` of none.
+/// `part` of `all` with Wilson's 95 % interval, per cent; `-` if `all` is 0.
 #[must_use]
 pub fn share(part: usize, all: usize) -> String {
     wilson(part as f64, all as f64).map_or("-".to_owned(), |[low, high]| {
@@ -25,15 +25,14 @@ pub fn share(part: usize, all: usize) -> String {
     })
 }
 
-/// How many loops of a truth there are, and how many of them a decision calls sticking.
+/// Number of loops with this truth that a decision calls sticking, and the number of all such loops.
 #[must_use]
 pub fn count<const N: usize>(loops: &[Called<'_, N>], sticks: bool, decision: usize) -> (usize, usize) {
     let of = || loops.iter().filter(|one| one.sticks == sticks);
     (of().filter(|one| one.called[decision]).count(), of().count())
 }
 
-/// True (TPR) and false positive rates (FPR): a line for each kind, that with the most false positives of the first decision
-/// first, and one for all.
+/// True (TPR) and false positive rates (FPR): one line per kind, sorted by the first decision's false positives, and a total.
 #[must_use]
 pub fn table<const N: usize>(decisions: [&str; N], loops: &[Called<'_, N>]) -> Vec<String> {
     let mut kinds: BTreeMap<&str, Vec<Called<'_, N>>> = BTreeMap::new();
@@ -63,7 +62,7 @@ pub fn table<const N: usize>(decisions: [&str; N], loops: &[Called<'_, N>]) -> V
     lines
 }
 
-/// How far the probabilities can be believed.
+/// Reliability of the probabilities, as lines of text.
 #[must_use]
 pub fn reliability_lines(all: &[Scored]) -> Vec<String> {
     let bins = tally::reliability_equal(all, 10);

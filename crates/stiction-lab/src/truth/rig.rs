@@ -1,4 +1,4 @@
-//! One loop with the series that drive it, in scans: built, run, stretched in time and measured.
+//! One loop with its input series, in scans: built, run, stretched in time and measured.
 
 use super::draw::{Draw, span, std_dev};
 use stiction::core::sim::closed_loop::{ClosedLoop, LoopModel, ValveModel};
@@ -19,14 +19,14 @@ pub(crate) struct Rig {
     pub rest_pv: f64,
     pub op_min: f64,
     pub op_max: f64,
-    /// Curvature of the valve's characteristic, 1 / OP unit; 0 for a straight one.
+    /// Curvature of the valve's characteristic, 1 / OP unit; 0 for a linear one.
     pub curvature: f64,
 }
 
-/// What drives a loop, each as long as the run.
+/// Inputs of a loop, each as long as the run.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Drive {
-    /// Set point less the rest, PV units.
+    /// Set point relative to the operating point, PV units.
     pub sp: Vec<f64>,
     /// At the process input, OP units.
     pub load: Vec<f64>,
@@ -60,14 +60,14 @@ impl Run {
         Self { op: keep(&self.op), pv: keep(&self.pv), sp: keep(&self.sp), mv: keep(&self.mv) }
     }
 
-    /// Whether every value is a number of sane size.
+    /// Whether every value is finite.
     pub fn is_finite(&self) -> bool {
         self.pv.iter().chain(&self.op).all(|x| x.is_finite())
     }
 }
 
 impl Rig {
-    /// The middle of the range, no controller, no process: what the rest is filled from.
+    /// The middle of the range, no controller, no process: base for struct updates.
     pub const AT_REST: Self = Self {
         process: ProcessModel { gain: 1.0, tau: 0.0, tau2: 0.0, dead_time: 0.0, integrating: false },
         kc: 0.0,
@@ -111,7 +111,7 @@ impl Rig {
         for k in 0..drive.len() {
             let bent = |mv: f64| {
                 let x = mv - self.rest_op;
-                // Equal percentage around the rest: gain exp(c x), 1 at the rest.
+                // Equal percentage around the operating point: gain exp(c x), 1 at the point itself.
                 let more =
                     if self.curvature > 0.0 { libm::expm1(self.curvature * x) / self.curvature - x } else { 0.0 };
                 drive.load[k] + more
@@ -125,7 +125,7 @@ impl Rig {
         run
     }
 
-    /// The same loop `c` times as slow; the valve stays as it is.
+    /// The same loop, slower by the factor `c`; the valve does not change.
     pub fn stretched(mut self, c: f64) -> Self {
         let p = &mut self.process;
         (p.tau, p.tau2, p.dead_time) = (p.tau * c, p.tau2 * c, p.dead_time * c);
@@ -136,19 +136,19 @@ impl Rig {
         self
     }
 
-    /// PV units per OP unit: the static gain, or what an integrating process gains in a sixth of `period`.
+    /// PV units per OP unit: the static gain, or for an integrating process its change within a sixth of `period`.
     pub fn pv_per_op(&self, period: f64) -> f64 {
         let gain = self.process.gain.abs();
         if self.process.integrating { gain * period / (2.0 * core::f64::consts::PI) } else { gain }
     }
 
-    /// `x` at the process input as it would show on PV without control.
+    /// Response of PV to `x` at the process input, without control.
     pub fn through_process(&self, x: &[f64]) -> Vec<f64> {
         let mut process = ProcessState::at_rest(self.process, 0.0);
         x.iter().map(|&v| process.step(v, 0.0)).collect()
     }
 
-    /// A bump of load from rest without friction: by how much the second half still swings, against the first.
+    /// Response to a step of load from rest, without friction: span of PV in the second half relative to the first.
     pub fn ringing(&self, n: usize) -> f64 {
         let calm = Self { valve: ValveModel::HEALTHY, op_min: -1e6, op_max: 1e6, curvature: 0.0, ..*self };
         let calm = Self { valve: ValveModel { travel_min: -1e6, travel_max: 1e6, ..calm.valve }, ..calm };
@@ -162,13 +162,13 @@ impl Rig {
     }
 }
 
-/// Motions of the stem: how often it starts to move, either way; what moves less than `least` in a scan rests.
+/// Motions of the stem: how often it starts to move, either way; movement below `least` per scan counts as rest.
 pub fn motions(mv: &[f64], least: f64) -> usize {
     let moves: Vec<bool> = mv.windows(2).map(|w| (w[1] - w[0]).abs() > least).collect();
     moves.windows(2).filter(|w| w[1] && !w[0]).count()
 }
 
-/// How often the stem turns, and its mean period over the last two thirds, scans.
+/// Number of reversals of the stem, and its mean period over the last two thirds, scans.
 pub fn turns(mv: &[f64], least: f64) -> (usize, Option<f64>) {
     let (mut direction, mut all, mut ups) = (0.0, 0, Vec::new());
     for (k, w) in mv.windows(2).enumerate() {
@@ -192,7 +192,7 @@ pub fn turns(mv: &[f64], least: f64) -> (usize, Option<f64>) {
     (all, period)
 }
 
-/// Phase and size of the open loop at `w`, 1/scan, for a controller gain of 1; half a scan of dead time for the hold.
+/// Phase and magnitude of the open loop at `w`, 1/scan, for a controller gain of 1; half a scan of dead time for the hold.
 fn open_loop(process: &ProcessModel, ti: f64, td: f64, w: f64) -> (f64, f64) {
     let pi = core::f64::consts::PI;
     let mut phase = -w * (process.dead_time + 0.5);
@@ -205,19 +205,19 @@ fn open_loop(process: &ProcessModel, ti: f64, td: f64, w: f64) -> (f64, f64) {
         phase -= 0.5 * pi;
         size /= w;
     }
-    // Kc (1 + 1/(Ti s) + Td s), the gain left out.
+    // Kc (1 + 1/(Ti s) + Td s), without the gain.
     let im = w * td - 1.0 / (w * ti);
     (phase + libm::atan(im), size * (1.0 + im * im).sqrt())
 }
 
-/// Frequencies from far below a loop's own up to the Nyquist limit, 1/scan.
+/// Frequencies from far below the loop's own up to the Nyquist limit, 1/scan.
 fn frequencies(process: &ProcessModel, ti: f64) -> impl Iterator<Item = f64> {
     let lowest = 1e-4 / (process.tau + process.tau2 + process.dead_time + ti + 1.0);
     core::iter::successors(Some(lowest), |w| Some(w * 1.01)).take_while(|w| *w < core::f64::consts::PI)
 }
 
-/// Controller gain at which a loop that rings for ever would start to, and the period of that ringing, scans; from the
-/// frequency response. None where the phase never gets that far.
+/// Controller gain at the stability limit and the period of the oscillation there, scans, from the frequency response. `None`
+/// if the phase never reaches -180 degrees.
 pub fn ultimate(process: &ProcessModel, ti: f64, td: f64) -> Option<(f64, f64)> {
     let pi = core::f64::consts::PI;
     let mut was_above = false;
@@ -232,7 +232,7 @@ pub fn ultimate(process: &ProcessModel, ti: f64, td: f64) -> Option<(f64, f64)> 
     None
 }
 
-/// Largest amplification of a disturbance on PV by the loop: Ms of Åström and Hägglund.
+/// Maximum sensitivity Ms of Åström and Hägglund: the largest amplification of a disturbance on PV by the loop.
 pub(crate) fn max_sensitivity(process: &ProcessModel, kc: f64, ti: f64, td: f64) -> f64 {
     let distance = |w: f64| {
         let (phase, size) = open_loop(process, ti, td, w);
@@ -242,7 +242,7 @@ pub(crate) fn max_sensitivity(process: &ProcessModel, kc: f64, ti: f64, td: f64)
     1.0 / frequencies(process, ti).map(distance).fold(f64::INFINITY, f64::min)
 }
 
-/// A controller for `process` as people tune them, `tight` times the gain at which it rings (0..1).
+/// Typical tuning of a controller for `process`, with `tight` times the gain at the stability limit (0..1).
 pub fn tune(draw: &mut Draw, process: &ProcessModel, tight: f64) -> Option<(f64, f64, f64, f64)> {
     let slow = process.tau + process.tau2 + 0.5 * process.dead_time + 0.5;
     let ti = if process.integrating {
@@ -254,13 +254,13 @@ pub fn tune(draw: &mut Draw, process: &ProcessModel, tight: f64) -> Option<(f64,
     let (most, period) = ultimate(process, ti, td)?;
     let mut kc = tight * most;
     if process.integrating {
-        // Too little gain makes a level swing as too much does: keep Kc K Ti from 1 on.
+        // Too little gain makes a level oscillate as too much does: keep Kc K Ti at 1 or above.
         kc = kc.max(1.0 / (process.gain.abs() * ti)).min(0.9 * most);
     }
     Some((kc, ti, td, period))
 }
 
-/// Half the spread that counts as the size of a swing.
+/// Amplitude of a sine with the same standard deviation.
 pub(crate) fn swing(x: &[f64]) -> f64 {
     (2.0_f64).sqrt() * std_dev(x)
 }

@@ -1,8 +1,8 @@
-//! What recording does to a signal: kept only when it changed enough, thinned to straight lines, rounded.
+//! Effects of recording on a signal: exception reporting, swinging-door compression, rounding.
 
 use stiction::core::sim::noise::quantise;
 
-/// Exception reporting: a value is stored when it stands more than `band` from the last one stored, else that is held.
+/// Exception reporting: a value is stored if it differs from the last stored one by more than `band`, which is held otherwise.
 pub fn exception_hold(x: &mut [f64], band: f64) {
     let Some(mut last) = x.first().copied() else { return };
     for v in x {
@@ -13,8 +13,8 @@ pub fn exception_hold(x: &mut [f64], band: f64) {
     }
 }
 
-/// Swinging door (Bristol 1990): values are stored such that the straight lines between them pass all others within
-/// `band`, and read back along those lines.
+/// Swinging door (Bristol 1990): values are stored such that all others are within `band` of the straight lines between them,
+/// and read back along those lines.
 pub fn swinging_door(x: &mut [f64], band: f64) {
     let n = x.len();
     let (mut from, mut steepest_low, mut steepest_high) = (0, f64::NEG_INFINITY, f64::INFINITY);
@@ -27,7 +27,7 @@ pub fn swinging_door(x: &mut [f64], band: f64) {
             k += 1;
             continue;
         }
-        // The door is open: the value before is stored, and the next door hangs there.
+        // The door is open: the previous value is stored, and the next door starts there.
         line(x, from, k - 1);
         from = k - 1;
         (steepest_low, steepest_high) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -70,7 +70,7 @@ mod tests {
     fn a_swinging_door_keeps_few_points_and_stays_close() {
         let (raw, mut stored) = (wave(), wave());
         swinging_door(&mut stored, 0.5);
-        // The stored value may itself stand a band from the line's middle: twice the band is the bound.
+        // The stored value may itself be a band off the middle of the line, so the bound is twice the band.
         assert!(raw.iter().zip(&stored).all(|(a, b)| (a - b).abs() <= 1.0 + 1e-9));
         let kinks = stored.windows(3).filter(|w| (w[2] - 2.0 * w[1] + w[0]).abs() > 1e-9).count();
         assert!(kinks < 100 && kinks > 5, "{kinks}");

@@ -1,4 +1,4 @@
-//! Healthy and sticking loops for the verdict: everything that makes a loop swing, and everything that recording does.
+//! Healthy and sticking loops for the verdict: all kinds of excitation, and all effects of recording.
 
 use super::TruthLoop;
 use super::accuracy::{bands, cycling, law_name, physical, shows_stiction};
@@ -9,7 +9,7 @@ use stiction::core::sim::closed_loop::{ValveLaw, ValveModel};
 use stiction::core::sim::disturbance::Disturbance;
 use stiction::core::sim::process::ProcessModel;
 
-/// What moves the loops, but for the limit cycle that sticking ones make themselves.
+/// Excitations, except the limit cycle of a sticking valve.
 pub const KINDS: [&str; 20] = [
     "triangle",
     "square",
@@ -33,17 +33,17 @@ pub const KINDS: [&str; 20] = [
     "too much integral",
 ];
 
-/// Kind of a sticking loop that nothing else moves.
+/// Kind of a sticking loop without any other excitation.
 pub const LIMIT_CYCLE: &str = "limit cycle";
 
 /// Processes of the verdict's loops.
 pub const PROCESS_KINDS: [&str; 4] = ["fast flow", "first order", "second order", "integrating"];
 
-/// What recording does to the verdict's loops.
+/// Effects of recording on the verdict's loops.
 pub const RECORD_KINDS: [&str; 6] =
     ["raw", "exception hold", "swinging door", "op quantised", "pv quantised", "decimated"];
 
-/// What makes a healthy loop of this kind oscillate.
+/// Cause of a healthy loop's oscillation, by its kind.
 fn cause(kind: &str) -> &'static str {
     match kind {
         "triangle" | "square" | "sine" | "two sines" | "wandering sine" | "bursts" | "upstream limit cycle" => {
@@ -87,7 +87,7 @@ impl Plan {
         self.period * self.every as f64
     }
 
-    /// Stores a run, with bands that are shares of each signal's spread.
+    /// Stores a run, with bands relative to each signal's spread.
     pub fn store(&self, draw: &mut Draw, run: &Run) -> Run {
         let mut run = run.thinned(self.from, self.every);
         run.op.truncate(self.n);
@@ -113,7 +113,7 @@ impl Plan {
     }
 }
 
-/// A process of this kind whose loop rings, if it does, with a period of `ratio` times the one planned.
+/// A process of this kind whose loop, if it rings, has a period of `ratio` times the planned one.
 pub(super) fn process(draw: &mut Draw, kind: usize, period: f64, ratio: f64) -> Option<ProcessModel> {
     if kind == 0 {
         let gain = draw.sign() * draw.log_between(0.4, 3.0) * draw.pick(&[0.1, 1.0, 4.0, 15.0], 1.0);
@@ -127,7 +127,7 @@ pub(super) fn process(draw: &mut Draw, kind: usize, period: f64, ratio: f64) -> 
     Some(ProcessModel { gain, tau: base.tau * c, tau2: base.tau2 * c, dead_time: base.dead_time * c, ..base })
 }
 
-/// Sets the controller so that a bump rings on about as long as `left` says: what is left of it after ten periods.
+/// Sets the controller so that the response to a step decays to about the share `left` within ten periods.
 pub(super) fn tighten(rig: &mut Rig, period: f64, left: f64) -> bool {
     let n = (20.0 * period).clamp(60.0, 6_000.0) as usize;
     let (mut low, mut high) = (0.3 * rig.kc, 1.5 * rig.kc);
@@ -139,7 +139,7 @@ pub(super) fn tighten(rig: &mut Rig, period: f64, left: f64) -> bool {
     (0.3 * left..=left * 1.001).contains(&rig.ringing(n))
 }
 
-/// Another loop's PV in its limit cycle, of half span 1: what a sticking valve upstream sends down.
+/// Another loop's PV in its limit cycle, with half span 1: the effect of a sticking valve upstream.
 fn upstream(draw: &mut Draw, period: f64, n: usize) -> Option<Vec<f64>> {
     let kind = draw.pick(&[0, 1], 0);
     let (process, _) = super::accuracy::process(draw, kind);
@@ -158,7 +158,7 @@ fn upstream(draw: &mut Draw, period: f64, n: usize) -> Option<Vec<f64>> {
     Some(scaled(&around, 1.0))
 }
 
-/// A sine whose period wanders, and one that comes and goes.
+/// A sine whose period wanders, or one that starts and stops.
 fn uneven_sine(draw: &mut Draw, kind: &str, period: f64, n: usize) -> Vec<f64> {
     let wander = if kind == "bursts" { 0.0 } else { draw.between(0.05, 0.4) };
     let mut turns = draw.between(0.0, 1.0);
@@ -174,7 +174,7 @@ fn uneven_sine(draw: &mut Draw, kind: &str, period: f64, n: usize) -> Vec<f64> {
         .collect()
 }
 
-/// What drives a loop of this kind. `size` is in OP units, at the process input.
+/// Inputs of a loop of this kind. `size` is in OP units, at the process input.
 pub(super) fn drive(draw: &mut Draw, kind: &str, rig: &Rig, size: f64, period: f64, n: usize) -> Option<Drive> {
     let mut drive = Drive::none(n);
     let unit = rig.pv_per_op(period);
@@ -233,7 +233,7 @@ pub(super) fn drive(draw: &mut Draw, kind: &str, rig: &Rig, size: f64, period: f
         _ => return Some(drive),
     };
     let load: Vec<f64> = load.iter().map(|x| x * size).collect();
-    // Half of what comes from outside comes on PV itself.
+    // Of the disturbances that are not loads by name, 40 % act on PV directly.
     if !kind.starts_with("load") && draw.chance(0.4) {
         drive.pv = load.iter().map(|x| x * unit).collect();
     } else {
@@ -242,7 +242,7 @@ pub(super) fn drive(draw: &mut Draw, kind: &str, rig: &Rig, size: f64, period: f
     Some(drive)
 }
 
-/// OP or valve limits that a run without them would pass: the middle `share` of its travel is left.
+/// Sets limits of OP or the valve that a run without them would exceed: the middle `share` of the travel remains.
 fn saturate(draw: &mut Draw, rig: &mut Rig, drive: &Drive) {
     let run = rig.run(drive, 0.0, 0);
     let (most, least) =
@@ -257,7 +257,7 @@ fn saturate(draw: &mut Draw, rig: &mut Rig, drive: &Drive) {
     }
 }
 
-/// The valve of a sticking loop, and the same as a law that a pilot run can take.
+/// The valve of a sticking loop, and its law for a pilot run.
 pub(super) fn sticking_valve(draw: &mut Draw, law: ValveLaw, dead_band: bool, period: f64) -> (ValveModel, ValveModel) {
     let fs = draw.log_between(0.6, 6.0);
     let fd = if dead_band { fs } else { fs * draw.between(0.05, 0.95) };
@@ -266,8 +266,8 @@ pub(super) fn sticking_valve(draw: &mut Draw, law: ValveLaw, dead_band: bool, pe
     (ValveModel { law, friction: physical(draw, fs, fd, period), ..valve }, valve)
 }
 
-/// One loop, recorded for `windows` times the length of one window; `number` walks through the kinds. None if what was
-/// drawn is no case.
+/// One loop, recorded for `windows` times the length of one window; `number` cycles through the kinds. `None` if the draw is
+/// not a valid case.
 pub(super) fn attempt(draw: &mut Draw, sticks: bool, number: u64, windows: usize) -> Option<TruthLoop> {
     let mut plan = Plan::new(draw);
     plan.n *= windows;
@@ -280,7 +280,7 @@ pub(super) fn attempt(draw: &mut Draw, sticks: bool, number: u64, windows: usize
     let rings = cause(kind) == "tuning";
     let dead_band = sticks && draw.chance(0.15);
     let process_kind = match () {
-        // A dead band makes a cycle of its own only with two integrations.
+        // A dead band causes a cycle only with two integrations in the loop.
         () if dead_band && (kind == LIMIT_CYCLE || draw.chance(0.4)) => 3,
         () if rings => draw.pick(&[1, 2, 3], 1),
         () => draw.pick(&[0, 1, 2, 3], 1),
@@ -305,7 +305,7 @@ pub(super) fn attempt(draw: &mut Draw, sticks: bool, number: u64, windows: usize
         return None;
     }
 
-    // The valve, and how large what comes from outside is.
+    // The valve, and the size of the disturbance.
     let (mut start, mut size) = (0.0, draw.log_between(1.0, 10.0));
     let mut disturbance = size;
     if sticks {
@@ -338,7 +338,7 @@ pub(super) fn attempt(draw: &mut Draw, sticks: bool, number: u64, windows: usize
         saturate(draw, &mut rig, &drive);
     }
 
-    // Noise by PV's spread without it; where there is none, by what it makes of OP.
+    // The noise is relative to PV's spread without it; without a disturbance, it is set by its effect on OP.
     let calm = rig.run(&drive, 0.0, 0).thinned(plan.from, 1);
     let share = if kind == "noise only" { 1.0 } else { draw.log_between(0.01, 0.4) };
     let noise_sd = if kind == "noise only" { draw.log_between(0.1, 2.0) / rig.kc } else { share * std_dev(&calm.pv) };

@@ -1,15 +1,15 @@
-//! Horch's cross-correlation (Horch 1999): where the correlation of OP and PV crosses zero next to lag 0.
+//! Horch's cross-correlation (Horch 1999): zero crossings of the correlation of OP and PV next to lag 0.
 
 use super::{Answer, Case, Method};
 use stiction::core::signal::spectrum::zero_crossings;
 use stiction::core::signal::stats::dot;
 
-/// Published thresholds: of the crossings' asymmetry, and of how far the correlation at lag 0 is from its extreme.
+/// Published thresholds for the asymmetry of the crossings, and for the correlation at lag 0 relative to its extremes.
 const LAGS: [f64; 2] = [1.0 / 3.0, 2.0 / 3.0];
 const LEVELS: [f64; 2] = [0.072, 1.0 / 3.0];
 
-/// Statistic: `|l - r| / (l + r)` of the zero crossings at lags -l and r; near 1 for an odd correlation, which a sticking
-/// valve under an integrating controller makes, near 0 for an even one. For self-regulating, oscillating loops.
+/// Statistic: `|l - r| / (l + r)` of the zero crossings at lags -l and r; near 1 for an odd correlation, as caused by a
+/// sticking valve under an integrating controller, near 0 for an even one. For self-regulating, oscillating loops.
 pub(super) struct CrossCorrelation;
 
 impl Method for CrossCorrelation {

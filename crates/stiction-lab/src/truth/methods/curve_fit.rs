@@ -6,7 +6,7 @@ use stiction::core::detect::curve_fit;
 /// Published thresholds.
 const INDEX: [f64; 2] = [0.4, 0.6];
 
-/// Statistic: the error of sinusoids over that of sinusoids and triangles, fitted to the half cycles of OP, of PV where the
+/// Statistic: the error of sinusoids over that of sinusoids and triangles, fitted to the half cycles of OP, or of PV if the
 /// process integrates. For oscillating loops.
 pub(super) struct CurveFit;
 

@@ -1,8 +1,8 @@
-//! Published methods of detecting stiction, for comparison with the shipped classifier: one file each.
+//! Published methods for detecting stiction, to compare with the shipped classifier: one file each.
 //!
-//! All of them get the same preparation, that of the classifier's indicators: at most 80 points a period, smoothed over a
-//! sixteenth of it. Each gives a statistic, larger for sticking valves, and the answer that follows from the published
-//! thresholds; a method that does not apply, or whose statistic is between its two thresholds, gives none.
+//! All methods get the preparation of the classifier's indicators: at most 80 points per period, smoothed over a sixteenth of
+//! it. Each returns a statistic, larger for sticking valves, and the answer by the published thresholds; a method that does not
+//! apply, or whose statistic is between its two thresholds, returns no answer.
 
 mod cross_correlation;
 mod curve_fit;
@@ -13,19 +13,19 @@ use stiction::core::detect::{View, oscillation};
 use stiction::core::ident::sign;
 use stiction::core::record::Record;
 
-/// A record as the methods get it.
+/// A record prepared for the methods.
 #[derive(Debug)]
 pub struct Case<'r> {
     record: &'r Record,
     view: View,
     integrating: bool,
     oscillates: bool,
-    /// Signs of the process gain that are tried: the one that the controller shows, else both.
+    /// Signs of the process gain to try: the controller's if it can be identified, else both.
     signs: Vec<f64>,
 }
 
 impl<'r> Case<'r> {
-    /// Prepares a record. Whether the process integrates is given: the methods leave it to the person who applies them.
+    /// Prepares a record. The caller states whether the process integrates, because the methods leave that to their user.
     #[must_use]
     pub fn new(record: &'r Record, integrating: bool) -> Self {
         let op = record.op();
@@ -36,17 +36,17 @@ impl<'r> Case<'r> {
     }
 }
 
-/// What a method says of a record.
+/// A method's result for a record.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Answer {
-    /// Its statistic.
+    /// The statistic.
     pub statistic: Option<f64>,
     /// Whether the valve sticks by the published thresholds.
     pub sticks: Option<bool>,
 }
 
 impl Answer {
-    /// Sticking from `sticks` on, not sticking below `healthy`, undecided between.
+    /// Sticking from `sticks` up, not sticking below `healthy`, undecided in between.
     fn by_thresholds(statistic: Option<f64>, healthy: f64, sticks: f64) -> Self {
         let decide = |x: f64| (x >= sticks).then_some(true).or((x < healthy).then_some(false));
         Self { statistic, sticks: statistic.and_then(decide) }
@@ -55,11 +55,11 @@ impl Answer {
 
 /// A published method.
 pub trait Method: Sync {
-    /// Its name in tables.
+    /// The method's name in tables.
     fn name(&self) -> &'static str;
     /// The published decision.
     fn decision(&self) -> &'static str;
-    /// What it says of a record.
+    /// Applies the method to a record.
     fn answer(&self, case: &Case<'_>) -> Answer;
 }
 
@@ -83,7 +83,7 @@ mod tests {
         found.iter().map(|answer| answer.sticks).collect()
     }
 
-    /// OP as the integral of the error makes it: the stem slips at its reversals, and PV follows as a fast process.
+    /// OP is the integral of the error: the stem slips at OP's reversals, and PV follows as the output of a fast process.
     #[test]
     fn a_stick_slip_cycle_is_called_by_every_method() {
         let triangle = |k: usize| {

@@ -1,14 +1,14 @@
-//! Yamashita's qualitative shapes (Yamashita 2006): OP moves while PV rests, and PV then moves the right way.
+//! Yamashita's qualitative shapes (Yamashita 2006): OP moves while PV rests, and PV then moves in the right direction.
 
 use super::{Answer, Case, Method};
 use stiction::core::signal::detrend::remove_mean;
 use stiction::core::signal::stats::std_dev;
 
-/// Published threshold: what unrelated signals give.
+/// Published threshold: the value for unrelated signals.
 const INDEX: f64 = 0.25;
 
-/// Statistic: rho 3, the share of the samples that move in which OP moves and PV rests, without the rests that end in a
-/// way no sticking valve ends them. For self-regulating loops whose PV follows the valve fast, such as flow; applied to all
+/// Statistic: rho 3, the share of moving samples in which OP moves and PV rests, without the rests that end in a way
+/// inconsistent with a sticking valve. For self-regulating loops whose PV follows the valve fast, such as flow; applied to all
 /// self-regulating ones.
 pub(super) struct Shape;
 
@@ -54,7 +54,7 @@ fn moves(x: &[f64]) -> Vec<i8> {
         .collect()
 }
 
-/// `None` where nothing moves. Samples in which both rest are skipped.
+/// `None` if nothing moves. Samples in which both rest are skipped.
 fn rho3(samples: impl Iterator<Item = Moves>) -> Option<f64> {
     let moving: Vec<Moves> = samples.filter(|moves| *moves != (0, 0)).collect();
     let mut rests = 0;
@@ -67,8 +67,8 @@ fn rho3(samples: impl Iterator<Item = Moves>) -> Option<f64> {
     (!moving.is_empty()).then(|| rests as f64 / moving.len() as f64)
 }
 
-/// Whether a rest of PV while OP moved `op` ends as behind a sticking valve: PV slips the way that OP went while OP goes on
-/// or stops.
+/// Whether a rest of PV while OP moves by `op` ends as with a sticking valve: PV slips in OP's direction while OP continues or
+/// stops.
 const fn is_of_stiction(op: i8, next: Moves) -> bool {
     next.1 == op && (next.0 == op || next.0 == 0)
 }

@@ -1,16 +1,16 @@
-//! The toolbox's method (Lee, Ren and Huang 2008): the best cell of He's law against no friction.
+//! The toolbox's method (Lee, Ren and Huang 2008): the best cell of He's law compared with no friction.
 
 use super::{Answer, Case, Method};
 use stiction::core::ident::one_step::{Best, Search, toolbox};
 use stiction::core::signal::stats;
 
-/// Samples a period that are kept; the dead times tried are counted in samples.
+/// Samples kept per period; the dead times tried are counted in samples.
 const POINTS_PER_PERIOD: f64 = 100.0;
 /// Published thresholds on the index and on s over OP's span.
 const INDEX: f64 = 0.5;
 const SHARE_OF_SPAN: f64 = 0.2;
 
-/// Statistic: the stiction index, 0 where s is at most a fifth of OP's span.
+/// Statistic: the stiction index, or 0 if s is at most a fifth of OP's span.
 pub(super) struct Toolbox;
 
 impl Method for Toolbox {
