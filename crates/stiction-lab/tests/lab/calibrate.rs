@@ -1,10 +1,10 @@
-//! `stiction-lab calibrate`: what is computed once is kept, and the classifier is written as it is printed.
+//! `stiction-lab calibrate`: features are computed once and cached, and the classifier is written as printed.
 
 use std::fs;
 
 use super::{lab, text};
 
-/// A triangle against a square: a sticking valve's picture.
+/// A triangle in OP and a square in PV: the shapes of a sticking valve.
 fn sticking() -> String {
     let row = |k: i32| {
         let t = (f64::from(k) / 60.0).fract();

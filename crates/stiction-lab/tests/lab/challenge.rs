@@ -1,5 +1,5 @@
-//! The check of the gap diagnosis at the process boundary: what lies in the folder, what a changed truth brings, and
-//! that neither side can see the other.
+//! The gap challenge at the process boundary: the contents of the folder, the effect of a changed truth, and that neither side
+//! can see the other.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -27,7 +27,7 @@ fn a_challenge_is_made_run_without_its_truth_and_scored_with_it() {
     let sealed = fs::read_to_string(dir.join("truth.sha256")).unwrap();
     assert!(text(&made.stdout).contains(sealed.trim()));
 
-    // The recordings say nothing: neutral names in one row, the same header but for MV, numbers alone.
+    // The recordings reveal nothing: consecutive neutral names, the same header except for MV, numbers only.
     let recordings = names(&dir.join("recordings"));
     assert_eq!(recordings.len(), 47);
     let mut headers = BTreeSet::new();
@@ -41,7 +41,7 @@ fn a_challenge_is_made_run_without_its_truth_and_scored_with_it() {
     }
     assert!(headers.iter().all(|h| h == "t,op,pv,sp" || h == "t,op,pv,sp,mv"), "{headers:?}");
 
-    // A second one of the same seed is the same, byte for byte; an existing folder is refused.
+    // A second challenge with the same seed is identical, byte for byte; an existing folder is refused.
     let twin = home.path().join("twin");
     lab(&["challenge", "new", "--seed", "5", "--cases", "1", "--out", twin.to_str().unwrap()]);
     for name in recordings.iter().map(|n| format!("recordings/{n}")).chain(["truth.json".to_owned()]) {
@@ -49,7 +49,7 @@ fn a_challenge_is_made_run_without_its_truth_and_scored_with_it() {
     }
     assert_eq!(lab(&["challenge", "new", "--seed", "5", "--out", at]).status.code(), Some(1));
 
-    // The diagnosis needs no truth, and goes on where it stopped.
+    // The diagnosis needs no truth, and resumes where it stopped.
     let truth = fs::read(dir.join("truth.json")).unwrap();
     fs::remove_file(dir.join("truth.json")).unwrap();
     let run = |first: &str| lab(&["challenge", "run", at, "--first", first, "--evaluations", "3000"]);
@@ -62,7 +62,7 @@ fn a_challenge_is_made_run_without_its_truth_and_scored_with_it() {
     let other = lab(&["challenge", "run", at, "--evaluations", "4000"]);
     assert!(!other.status.success() && text(&other.stderr).contains("--force"));
 
-    // The scorer wants every answer, and the truth that was sealed.
+    // The scorer requires every answer, and the sealed truth.
     fs::write(dir.join("truth.json"), &truth).unwrap();
     let score = |more: &[&str]| lab(&[&["challenge", "score", at], more].concat());
     let missing = score(&[]);
@@ -73,7 +73,7 @@ fn a_challenge_is_made_run_without_its_truth_and_scored_with_it() {
     assert_eq!(figures["groups"][0]["cases"], 2);
     let picture = fs::read_to_string(dir.join("confusion.svg")).unwrap();
     assert!(picture.starts_with("<svg xmlns=") && picture.trim_end().ends_with("</svg>"));
-    // The calibration decides again from the answers alone, and says on which seeds.
+    // The calibration decides again from the answers alone, and reports the seeds.
     let rule = home.path().join("rule.json");
     let calibrate = |dir: &str| lab(&["challenge", "calibrate", dir, "--out", rule.to_str().unwrap()]);
     let calibrated = calibrate(at);
@@ -106,7 +106,7 @@ fn nothing_is_calibrated_on_the_split_that_is_reported() {
 #[test]
 fn the_generator_makes_every_effect_of_the_catalogue() {
     let made: BTreeSet<&str> = Kind::CATALOGUE.iter().chain(&[Kind::FILTER]).map(|k| k.id()).collect();
-    // Stiction is an effect only against a base without it, a neighbour only where other loops are offered.
+    // Stiction is an effect only relative to a base without it, a neighbour only if other loops are offered.
     let own = |id: &&str| !matches!(*id, "stiction" | "neighbour");
     let known: BTreeSet<&str> = effects::ALL.iter().map(|e| e.id).filter(own).collect();
     assert_eq!(made, known);

@@ -36,7 +36,7 @@ fn stderr(output: &Output) -> String {
     text(&output.stderr)
 }
 
-/// A triangle against a square (a sticking valve's picture), or one sine against another.
+/// A triangle in OP and a square in PV (the shapes of a sticking valve), or two sines.
 fn wave(sticking: bool) -> String {
     let row = |k: i32| {
         let t = f64::from(k) / 60.0;
@@ -50,7 +50,7 @@ fn wave(sticking: bool) -> String {
     format!("t,op,pv\n{}", (0..600).map(row).collect::<String>())
 }
 
-/// A table of a slow wave, its times in seconds at each row by `time`.
+/// A table of a slow wave; `time` gives the seconds for each row.
 fn slow_wave(time: impl Fn(usize) -> usize) -> String {
     let row = |k: usize| {
         let phase = k as f64 / 20.0;
@@ -129,7 +129,7 @@ fn evaluate_judges_simulated_loops_and_compares_methods() {
             assert_eq!((total("recordings"), total("simulated")), (2.0, 4.0), "{method}");
         }
     }
-    // OP is a triangle in the one recording, a sinusoid in the other.
+    // OP is a triangle in one recording, a sinusoid in the other.
     let curve_fit = &sets[0]["methods"][3]["recordings"];
     assert_eq!((&curve_fit["found"], &curve_fit["cleared"]), (&1.0.into(), &1.0.into()), "{curve_fit}");
     let text = stdout(&expect(0, &["evaluate", &index, "--methods"]));

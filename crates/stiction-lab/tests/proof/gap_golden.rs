@@ -1,6 +1,6 @@
-//! Whole gap documents of simulated loops, held byte for byte.
+//! Compares whole gap documents of simulated loops byte for byte.
 //!
-//! `REMAKE=1 cargo test -p stiction-lab --test proof gap_golden` writes them anew.
+//! `REMAKE=1 cargo test -p stiction-lab --test proof gap_golden` rewrites them.
 
 use std::fs;
 use std::path::Path;
@@ -18,7 +18,7 @@ use stiction::core::sim::process::ProcessModel;
 use stiction_lab::calibrate_gap::search_id;
 use stiction_lab::truth::fixture::Draw;
 
-/// A sticking valve before a first-order process.
+/// A sticking valve in front of a first-order process.
 fn plain() -> LoopModel {
     LoopModel {
         ts_s: 1.0,

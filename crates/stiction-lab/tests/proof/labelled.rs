@@ -12,12 +12,12 @@ use stiction_lab::truth::fixture::boxed;
 pub struct Labelled {
     pub file: String,
     pub label: String,
-    /// What the loop controls, as the index words it.
+    /// Kind of loop, as worded in the index.
     pub kind: String,
     pub record: Record,
 }
 
-/// Cells of a line of CSV, quotes taken off.
+/// Cells of a CSV line, without quotes.
 pub fn cells(line: &str) -> Vec<String> {
     let (mut out, mut quoted) = (vec![String::new()], false);
     for c in line.chars() {
@@ -30,7 +30,7 @@ pub fn cells(line: &str) -> Vec<String> {
     out
 }
 
-/// The recordings that the product may look at, or nothing where they are not there.
+/// The recordings available for tests; empty if the folder does not exist.
 pub fn labelled(folder: &str) -> Vec<Labelled> {
     let root = std::path::Path::new(folder);
     let Ok(index) = std::fs::read_to_string(root.join("INDEX.csv")) else { return Vec::new() };
@@ -49,10 +49,10 @@ pub fn labelled(folder: &str) -> Vec<Labelled> {
         .collect()
 }
 
-/// Where the labelled recordings of real loops are, which are no part of the project.
+/// Folder of the labelled recordings of real loops, which are not part of the project.
 pub const RECORDINGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
 
-/// The same, or a loud word that `test` was skipped for want of them.
+/// The recordings; if there are none, reports loudly that `test` is skipped.
 pub fn labelled_or_skip(test: &str) -> Option<Vec<Labelled>> {
     let all = labelled(RECORDINGS);
     if all.is_empty() {
@@ -61,7 +61,7 @@ pub fn labelled_or_skip(test: &str) -> Option<Vec<Labelled>> {
     (!all.is_empty()).then_some(all)
 }
 
-/// Every recording with what the whole assessment finds in it, given what its loop controls. Assessed once for all tests.
+/// Every recording with its full assessment, given its kind of loop. Assessed once for all tests.
 pub fn assessed_or_skip(test: &str) -> Option<&'static [(Labelled, Assessment)]> {
     static ALL: OnceLock<Vec<(Labelled, Assessment)>> = OnceLock::new();
     let all = ALL.get_or_init(|| {
@@ -89,14 +89,15 @@ pub fn assessed_or_skip(test: &str) -> Option<&'static [(Labelled, Assessment)]>
     (!all.is_empty()).then_some(all)
 }
 
-/// Says that a test was skipped, past the harness, which keeps what passing tests print to itself; `tests/run.sh` counts
+/// Reports that a test was skipped, bypassing the harness, which captures the output of passing tests; `tests/run.sh` counts
 /// these lines.
 pub fn skipped(test: &str, why: &str) {
     use std::io::Write;
     let _ = std::io::stderr().lock().write_all(format!("\nSKIPPED: {test}: {why}\n").as_bytes());
 }
 
-/// Reads `t,op,pv[,sp]`, drops rows that are not finite or do not advance, and boxes what is longer than 2000 samples.
+/// Reads `t,op,pv[,sp]`, drops rows with values that are not finite or times that do not advance, and averages records above
+/// 2000 samples into bins.
 fn read(path: &std::path::Path, _ts: Option<f64>) -> Option<Record> {
     let text = std::fs::read_to_string(path).ok()?;
     let mut lines = text.lines();

@@ -1,6 +1,6 @@
-//! The library, seen from outside: what it promises, held on simulated and recorded loops.
+//! The library from outside: its promises, tested on simulated and recorded loops.
 //!
-//! One binary, so that what all tests share is compiled and linked once.
+//! One binary, so that shared code is compiled and linked once.
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::disallowed_methods, clippy::disallowed_types)]
 
@@ -27,7 +27,7 @@ mod val_plausible;
 mod val_pool;
 mod val_stick_index;
 
-/// So many cases in the usual run, so many in the long one (`tests/run.sh --all`).
+/// Number of cases in the usual run, and in the long one (`tests/run.sh --all`).
 fn cases<T>(usual: T, long: T) -> T {
     if std::env::var_os("STICTIOND_LONG").is_some() { long } else { usual }
 }

@@ -1,4 +1,4 @@
-//! Screening never changes a verdict: what the gate for calm loops lets go, the whole assessment calls `not_oscillating`.
+//! Screening never changes a verdict: the full assessment calls every screened loop `not_oscillating`.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::labelled;
@@ -17,7 +17,7 @@ fn params(screening: bool) -> AssessParams {
     AssessParams { screening, ..AssessParams::default() }
 }
 
-/// The documents with and without screening, where that makes a difference; compares what both must say alike.
+/// The documents with and without screening, if screening applies; also checks that their common parts agree.
 fn both(name: &str, record: &Record) -> Option<[Assessment; 2]> {
     if !is_screened_out(record, &params(true)) {
         return None;
@@ -38,7 +38,7 @@ fn both(name: &str, record: &Record) -> Option<[Assessment; 2]> {
     Some([short, whole])
 }
 
-/// A loop under random load, with a valve that sticks a little, or more.
+/// A loop under random load, with a valve of small or larger stiction.
 fn under_load(seed: u64, law: ValveLaw) -> Record {
     let mut model = drawn(seed + 400, [0.1, 0.5], |_, _| vec![]).0;
     let s = Draw::new(seed + 9).between(0.2, 4.0);
@@ -77,7 +77,7 @@ fn simulated_loops_get_the_verdict_that_they_would_have_got() {
     assert!(mean < OPEN_FROM, "{mean}");
 }
 
-/// OP and PV on grids of so many of their standard deviations.
+/// OP and PV rounded to grids of `share` of their standard deviations.
 fn on_grids(record: &Record, share: f64) -> Record {
     let mut record = record.clone();
     for signal in [&mut record.pv, &mut record.op_path] {
@@ -128,7 +128,7 @@ fn limit_cycles_oscillations_and_set_points_that_move_are_looked_at_in_full() {
 fn whoever_asks_for_a_fit_gets_one() {
     let calm = (0..40).map(|seed| healthy(seed, [0.1, 0.3], |_, _| vec![])).find(|r| is_screened_out(r, &params(true)));
     let found = assess(&calm.unwrap(), &AssessParams { always_fit: true, ..params(true) });
-    // Its numbers are withheld where no plant would have them; that it was made, its search says.
+    // Implausible numbers are withheld, but the search statistics show that a fit was made.
     assert!(found.reason != Some(SCREENED) && found.search.is_some_and(|s| s.evaluations > 0));
 }
 

@@ -1,5 +1,5 @@
-//! Records that look like a sticking valve to somebody, and come from a healthy one: none may be called sticking, and
-//! where the answer is certain it is asserted whole. Six seeds each.
+//! Records of healthy loops that look like a sticking valve: none may be called sticking, and if the answer is certain, the
+//! whole answer is asserted. Six seeds each.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use stiction::core::record::Record;
@@ -9,10 +9,10 @@ use stiction::core::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
 use stiction_lab::truth::fixture::Draw;
 use stiction_lab::truth::fixture::healthy::{drawn, healthy, settled};
 
-/// Shares of the ultimate gain at which a loop is sane.
+/// Shares of the ultimate gain of a well-tuned loop.
 const SANE: [f64; 2] = [0.2, 0.5];
 
-/// Assesses six seeds; shows the words and counts those that accuse the valve surely enough for an alarm.
+/// Assesses six seeds; prints the sentences and counts the verdicts of stiction that are certain enough for an alarm.
 fn accused(name: &str, make: impl Fn(u64) -> Record) -> (usize, Vec<Assessment>) {
     let params = AssessParams { always_fit: true, ..AssessParams::default() };
     let all: Vec<Assessment> = (0..6).map(|seed| assess(&make(seed), &params)).collect();
@@ -40,13 +40,13 @@ fn none_accused(name: &str, make: impl Fn(u64) -> Record) -> Vec<Assessment> {
     all
 }
 
-/// Where physics allows doubt: what a rounded output or a stored value hides looks like a band.
+/// For cases of genuine doubt: the part hidden by a rounded output or a stored value looks like a band.
 fn at_most_one_accused(name: &str, make: impl Fn(u64) -> Record) {
     let (count, _) = accused(name, make);
     assert!(count <= 1, "{name}: {count} of 6");
 }
 
-/// A sane loop under random load.
+/// A well-tuned loop under random load.
 fn sane(seed: u64) -> LoopModel {
     drawn(seed, SANE, |_, _| vec![]).0
 }
@@ -154,7 +154,7 @@ fn quantised_pv() {
     });
 }
 
-/// Keeps a value until the signal has left a band around it.
+/// Holds a value until the signal leaves a band around it.
 fn held(pv: &[f64], band: f64) -> Vec<f64> {
     let mut last = pv[0];
     let hold = |p: &f64| {
@@ -166,7 +166,7 @@ fn held(pv: &[f64], band: f64) -> Vec<f64> {
     pv.iter().map(hold).collect()
 }
 
-/// Straight lines between values kept by the swinging-door rule with half a door of `band`.
+/// Straight lines between the values stored by the swinging-door rule with half a door of `band`.
 fn swung(x: &[f64], band: f64) -> Vec<f64> {
     let mut kept = vec![0];
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -299,7 +299,7 @@ fn square_load() {
     });
     let count = |verdict| all.iter().filter(|a| a.verdict == verdict).count();
     let (named, called) = (count(Verdict::Disturbance), count(Verdict::Stiction));
-    // What a square load does to PV is close to what a slipping stem does: half are called, below the alarm's threshold.
+    // The effect of a square load on PV is similar to that of a slipping stem: half are called, below the alarm's threshold.
     assert!(named >= 3 && called <= 3, "{named} of 6, {called} called");
 }
 

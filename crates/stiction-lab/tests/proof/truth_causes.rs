@@ -1,4 +1,4 @@
-//! Valve, tuning or disturbance: loops whose cause is known get its name.
+//! Valve, tuning or disturbance: for loops of known cause, the cause is named.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
@@ -68,12 +68,12 @@ fn a_sticking_valve_is_stiction() {
     assert!(counts.get("stiction").copied().unwrap_or(0) >= 5, "{counts:?}");
 }
 
-/// Right words of 24 (see [`words`]) of loops with a load at a share of their ultimate gain.
+/// Correct verdicts of 24 (see [`words`]) for loops with a load at a share of their ultimate gain.
 fn right(share: [f64; 2], load: fn(f64, f64) -> Vec<Disturbance>, want: Verdict) -> (usize, usize) {
     words(|seed| healthy(seed, share, load), want)
 }
 
-/// Right words of 24 for loops that swing and whose valve is not accused, and how many swing.
+/// Correct verdicts of 24 for loops that oscillate and whose valve is not called sticking, and how many oscillate.
 fn words(make: impl Fn(u64) -> Record, want: Verdict) -> (usize, usize) {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for seed in 0..24 {
@@ -104,7 +104,7 @@ fn a_sine_load_is_named() {
 fn a_square_load_is_named() {
     let load = |amplitude, period_s| vec![Disturbance::Square { amplitude, period_s }];
     let (named, judged) = right([0.2, 0.5], load, Verdict::Disturbance);
-    // A square load is the nearest to a slipping stem: some are accused, more stay open.
+    // A square load is most similar to a slipping stem: some valves are called sticking, more cases stay open.
     assert!(judged >= 14 && named * 100 >= 85 * judged, "{named} of {judged}");
 }
 

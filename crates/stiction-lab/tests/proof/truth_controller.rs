@@ -1,4 +1,4 @@
-//! The controller read from records of loops whose controller is known.
+//! Identification of the controller from records of loops with a known controller.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use stiction::core::ident::controller::{Reading, read};
@@ -10,7 +10,7 @@ use stiction::core::sim::disturbance::Disturbance;
 use stiction::core::sim::process::ProcessModel;
 use stiction_lab::truth::fixture::{Draw, boxed};
 
-/// A sane loop drawn at random: every other one with derivative, sticking valve and coarse output by turns.
+/// A random well-tuned loop: every second one with derivative action, and with a sticking valve and coarse output in turn.
 fn drawn(seed: u64) -> LoopModel {
     let mut d = Draw::new(seed.wrapping_mul(7919));
     let ts_s = [0.5, 1.0, 5.0][seed as usize % 3];
@@ -91,13 +91,13 @@ fn lag_gain_and_times_are_the_simulated_ones() {
 fn nothing_is_read_where_no_controller_acts() {
     for seed in 0..20 {
         let mut d = Draw::new(seed);
-        // OP and PV of two loops that do not know each other.
+        // OP and PV from two independent loops.
         let one = ClosedLoop::new(drawn(seed), 0.0, 81.0, seed).record(1200, 81.0);
         let mut other = ClosedLoop::new(drawn(seed + 100), 0.0, 81.0, seed + 100).record(1200, 81.0);
         other.op_path = one.op_path;
         other.sp = None;
         let unrelated = read(&other);
-        // A person moves OP now and then.
+        // A person moves OP occasionally.
         let mut closed = ClosedLoop::new(drawn(seed), 0.0, 81.0, seed);
         let (mut op, mut pv) = (vec![], vec![]);
         for k in 0..1200 {
@@ -121,7 +121,7 @@ fn proportional(seed: u64) -> (LoopModel, f64) {
     (model, sign)
 }
 
-/// Median errors of Kc and Ti over ten loops, and how many were read.
+/// Median errors of Kc and Ti over ten loops, and how many controllers were identified.
 fn errors(make: impl Fn(LoopModel, u64) -> Record) -> (usize, f64, f64) {
     let (mut kc, mut ti) = (vec![], vec![]);
     for seed in 0..10 {
@@ -146,7 +146,7 @@ fn saturation_filters_coarse_output_and_boxes_are_survived() {
     });
     let filtered = errors(|model, seed| {
         let mut record = ClosedLoop::new(model, 0.0, 81.0, seed).record(1200, 81.0);
-        // The controller filters PV over two samples before it uses it; what is recorded is not filtered.
+        // The controller filters PV over two samples before using it; the recorded PV is not filtered.
         let mut x = record.pv[0];
         let mut raw = Vec::new();
         for pv in &record.pv {
@@ -161,10 +161,10 @@ fn saturation_filters_coarse_output_and_boxes_are_survived() {
         boxed(record.ts_s, &record.op_path, &record.pv, 4)
     });
     println!("clipped {clipped:?}, coarse {coarse:?}, filtered {filtered:?}, boxed {boxed:?}");
-    // Where the noise in OP is a tenth of its steps, no lag leads, and nothing is said.
+    // If the noise in OP is a tenth of its steps, no lag leads, and no controller is identified.
     for ((read, kc, ti), least) in [(clipped, 8), (coarse, 6), (filtered, 9)] {
         assert!(read >= least && kc < 0.05 && ti < 0.05, "{read} of 10: {kc} {ti}");
     }
-    // Means over boxes hide part of the answer: fewer are read, but not wrongly.
+    // Means over bins hide part of the response: fewer controllers are identified, but not wrongly.
     assert!(boxed.1 < 0.2 && boxed.2 < 0.2, "{boxed:?}");
 }

@@ -1,4 +1,4 @@
-//! The smallest band that a window would have shown, against valves that stick more and less than that.
+//! Compares the detection limit of a window with valves of larger and smaller bands.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use stiction::core::record::Record;
@@ -9,7 +9,7 @@ use stiction::core::verdict::{AssessParams, Assessment, assess};
 use stiction_lab::truth::fixture::Draw;
 use stiction_lab::truth::fixture::healthy::drawn;
 
-/// A loop that something moves: by seed a load that swings, a random load, or a set point in steps.
+/// A loop in motion: by seed an oscillating load, a random load, or a set point in steps.
 fn moving(seed: u64, noise: f64, valve: ValveModel) -> Record {
     let (mut model, own) = drawn(seed, [0.15, 0.4], |amplitude, period| match seed % 3 {
         0 => vec![Disturbance::Sine { amplitude: 1.5 * amplitude, period_s: 2.0 * period, phase_deg: 0.0 }],
@@ -48,7 +48,7 @@ fn judged(record: &Record) -> Assessment {
     assess(record, &AssessParams { always_fit: true, ..AssessParams::default() })
 }
 
-/// Loops whose set point moves, quiet and noisy, and what is detectable in each; the noise is PV's over the gain.
+/// Loops with a moving set point, quiet and noisy, and the detection limit of each; the noise is PV's over the gain.
 fn with_moving_set_points() -> Vec<[(u64, f64, Option<f64>); 2]> {
     (0..14)
         .map(|k| {
@@ -65,7 +65,7 @@ fn a_band_well_above_it_is_found_more_often_than_one_well_below() {
     let (mut said, mut above, mut below) = (0, 0, 0);
     for &(seed, noise, detectable) in loops.iter().flatten() {
         let Some(s) = detectable else { continue };
-        // It is the size that an alarm's cut would find.
+        // The limit is the size at which the alarm's threshold would be reached.
         let found = |share: f64| {
             let a = judged(&moving(seed, noise, sticking(share * s)));
             a.stiction == Some(true) && a.explanation.is_some_and(|e| e.alarms())
@@ -77,7 +77,7 @@ fn a_band_well_above_it_is_found_more_often_than_one_well_below() {
     println!("said for {said} of {}; found at 1.5 times it {above}, at 0.4 times it {below}", 2 * loops.len());
     assert!(10 * said >= 6 * 2 * loops.len(), "{said}");
     assert!(10 * above >= 9 * said && 20 * below <= 9 * said, "{above} {below} of {said}");
-    // Six times the noise: more is needed, or nothing is enough.
+    // With six times the noise the limit is larger, or there is none.
     let (mut less, mut more) = (0, 0);
     for [(seed, _, quiet), (_, _, noisy)] in &loops {
         match (quiet, noisy) {

@@ -16,7 +16,7 @@ use stiction::core::sim::slips::Stroke;
 use stiction_lab::challenge::{Deck, Split};
 use stiction_lab::truth::fixture::Draw;
 
-/// A sticking valve before a first-order process, its set point moved now and then.
+/// A sticking valve in front of a first-order process, with occasional set-point moves.
 fn plain(seed: u64) -> LoopModel {
     let mut d = Draw::new(seed.wrapping_mul(104_729));
     let tau = d.between(8.0, 20.0);
@@ -60,7 +60,7 @@ fn record(model: LoopModel, n: usize, seed: u64) -> Record {
     Record { sp: Some(set), ..Record::uniform(1.0, op, pv) }
 }
 
-/// Two threads that take jobs as they come.
+/// Two threads that take jobs as they become available.
 struct Two;
 
 impl Executor for Two {
@@ -86,7 +86,7 @@ impl Executor for Two {
     }
 }
 
-/// One after the other, ended when so many evaluations are done.
+/// Sequential, stopped after this many evaluations.
 struct Until(u64);
 
 impl Executor for Until {
@@ -111,16 +111,16 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
         let found = diagnose(&loop_record, &GapOptions::default(), &Two).unwrap();
         assert_eq!(found.cause.id, "none", "{seed}: {:?}", found.cause);
         assert!(found.findings.base.at_floor, "{} {:?}", found.findings.base.rmse_train, found.findings.floor);
-        // Bands fitted to half of the record may time one slip of the other half a sample off.
+        // Bands fitted to half of the record may shift one slip of the other half by a sample.
         assert!(found.findings.base.rmse < 1.3 * model.pv_noise_sd, "{}", found.findings.base.rmse);
         let valve = &found.findings.base.model.valve;
         let (s, truth) = (valve.fs + valve.fd, model.valve.fs + model.valve.fd);
         assert!((s / truth - 1.0).abs() < 0.03, "{s} {truth}");
-        // SP moves by several noise deviations, and the loop answers as its model does.
+        // SP moves by several standard deviations of the noise, and the loop responds as its model does.
         let from_sp = found.from_sp.unwrap();
         println!("{from_sp:?}");
         assert!(from_sp.base_pct > 50.0 && from_sp.after_pct.is_none(), "{from_sp:?}");
-        // What was written down explains the record as well, and no refit is worse than what it starts from.
+        // The written model explains the record as well, and no refit is worse than its start.
         let options = GapOptions {
             base: Base::Given(Box::new(found.model_after.clone())),
             budget_evaluations: 1,
@@ -128,7 +128,7 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
         };
         let again = diagnose(&loop_record, &options, &Two).unwrap();
         let given = again.findings.given.unwrap();
-        // The bands are written as the middle of what gives the same slips, the stem before the record as one place.
+        // The written bands are the middle of the cell of equal slips, and the initial stem position is a single value.
         assert!(
             (given.rmse / found.findings.base.rmse - 1.0).abs() < 0.15,
             "{} {}",
@@ -145,7 +145,7 @@ fn what_was_added_is_named_and_closes_the_gap() {
     let step = Disturbance::Step { size: 4.0, at_s: 430.0 };
     let second = |m: LoopModel| LoopModel { process: ProcessModel { tau2: 9.0, ..m.process }, ..m };
     let slides = |m: LoopModel| LoopModel { valve: ValveModel { law: ValveLaw::Tracking, ..m.valve }, ..m };
-    // The stem stands against its stop a good part of the time, and turns back from there.
+    // The stem spends much of the time at its stop, and reverses from there.
     let stopped = |m: LoopModel| LoopModel { valve: ValveModel { travel_max: m.rest_op + 2.5, ..m.valve }, ..m };
     let moves = |stroke: Stroke, m: LoopModel| LoopModel { valve: ValveModel { stroke, ..m.valve }, ..m };
     let slow = Stroke { rate: 0.25, ..Stroke::FREE };
@@ -178,14 +178,14 @@ fn what_was_added_is_named_and_closes_the_gap() {
             assert!(found.cause.probability > 0.5);
         }
     }
-    // Not named: a second lag that reaches the floor but is not told from its neighbours, and a limited rate, whose search ends a
-    // tenth above the floor since it sees no held-out block; a sliding stem fits better.
+    // Not named: a second lag that reaches the floor but cannot be distinguished from similar effects, and a limited rate,
+    // whose search ends a tenth above the floor because it does not see the held-out blocks; a sliding stem fits better.
     assert!(right >= 4, "{right} of 6");
     // A prediction from SP alone loses the phase of a cycle, so a better model may still predict worse.
     assert!(worse <= 1, "{worse} of 6 predicted worse from SP with the effect than without");
 }
 
-/// Loops of split A whose effect was not found from two or three of its starts, and is from more.
+/// Loops of split A whose effect was not found from two or three of its starts, but is found from more.
 #[test]
 fn a_valves_effect_is_found_from_the_start_that_is_near() {
     let deck = Deck::new(59, Split::of_seed(59), 20);
@@ -200,7 +200,7 @@ fn a_valves_effect_is_found_from_the_start_that_is_near() {
     }
 }
 
-/// Each value held until one differs by `band`.
+/// Holds each value until one differs by `band`.
 fn held(pv: &[f64], band: f64) -> Vec<f64> {
     let mut last = pv[0];
     pv.iter()
@@ -226,7 +226,7 @@ fn a_few_stored_values_tell_what_the_recorder_made_of_the_gap() {
         assert_eq!((told.cause.id.as_str(), told.findings.floor.noise_floor), ("hold_compression", None), "{seed}");
         assert_eq!(told.second, None, "so few can all be met by anything");
         let recorder = told.findings.effects.iter().find(|e| e.id == "hold_compression").unwrap();
-        // Where no model can be fitted to so few, nothing is said of what they make of the gap.
+        // If no model can be fitted to so few values, the share of the gap is absent.
         all.extend(recorder.closed_pct);
     }
     assert!(all.len() >= 3 && all.iter().all(|closed| *closed > 0.0), "{all:?}");
@@ -302,7 +302,7 @@ fn stems_that_no_pair_of_bands_imitates_are_found_from_nothing() {
         let named = found.cause.id == id && own.rmse_train < 1.15 * noise;
         right += usize::from(named);
         if named {
-            // What is written down leaves as little.
+            // The written model leaves as little.
             let base = Base::Given(Box::new(found.model_after.clone()));
             let options = GapOptions { base, budget_evaluations: 1, ..GapOptions::default() };
             let again = diagnose(&loop_record, &options, &Two).unwrap().findings.given.unwrap();
@@ -310,7 +310,7 @@ fn stems_that_no_pair_of_bands_imitates_are_found_from_nothing() {
             assert!(again.rmse_train < 1.4 * own.rmse_train, "{} {}", again.rmse_train, own.rmse_train);
         }
     }
-    // Both uneven stems and one heavy one stay open: their slips are met from too few starts.
+    // Both uneven stems and one heavy stem stay open: too few starts reach their slips.
     assert!(right >= 1, "{right} of 4");
 }
 
@@ -320,11 +320,11 @@ fn answers_depend_on_the_work_and_not_on_who_does_it() {
     let options = GapOptions { budget_evaluations: 60_000, ..GapOptions::default() };
     let one = diagnose(&loop_record, &options, &Serial).unwrap();
     assert_eq!(one, diagnose(&loop_record, &options, &Two).unwrap());
-    // A search that was ended from outside is found again from the evaluations it had done.
+    // A search stopped from outside is reproduced from the number of its evaluations.
     let cut = diagnose(&loop_record, &GapOptions::default(), &Until(5_000)).unwrap();
     assert!(cut.spent.stopped_early && cut.spent.evaluations >= 5_000);
     assert_eq!(cut, diagnose(&loop_record, &GapOptions::default(), &Until(cut.spent.evaluations)).unwrap());
-    // A budget is kept but for the base and the last steps.
+    // The budget holds, except for the base and the last steps.
     assert!(one.spent.evaluations < 90_000, "{}", one.spent.evaluations);
 }
 

@@ -1,4 +1,4 @@
-//! Intervals against simulated truth of the half that their figures were not measured on.
+//! Compares intervals with the simulated truth of the half on which their widths were not calibrated.
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -38,7 +38,7 @@ fn intervals_hold_the_truth_as_often_as_they_say() {
         assert!(told.s[0] > 0.0 && inside(told.s, s) && inside(told.j, j), "{row:?} {told:?}");
         assert!(inside(told.fs, 0.5 * (s + j)) && inside(told.fd, 0.5 * (s - j)), "{row:?} {told:?}");
     }
-    // What fits is told sharply.
+    // A good fit gets narrow intervals.
     let sharp = rows.iter().filter(|r| r.spread.trust(r.found[0]) == Trust::White);
     let widths: Vec<f64> = sharp.map(|r| (r.spread.s[1] - r.spread.s[0]) / r.found[0]).collect();
     assert!(widths.len() * 2 > rows.len() && widths.iter().filter(|w| **w < 0.02).count() * 10 > widths.len() * 8);
@@ -55,13 +55,13 @@ fn assessed(regime: Regime, seed: u64) -> Assessment {
 
 #[test]
 fn what_the_model_does_not_know_makes_an_interval_wide() {
-    // A model that no plant has gets no interval at all.
+    // An implausible model gets no interval at all.
     let all: Vec<Assessment> = (0..6).map(|seed| assessed(Regime::UnknownSine, seed)).collect();
     let told: Vec<&Assessment> = all.iter().filter(|found| found.implausible.is_empty()).collect();
     assert!(told.len() >= 4, "{} of {}", told.len(), all.len());
     for found in told {
         let ([low, high], s) = (found.s_interval.unwrap(), found.s.unwrap());
-        // Ten times as wide as where the residual is noise; 4 % to either side where all other bands are ruled out.
+        // Ten times as wide as with a white residual; 4 % to either side if all other bands are ruled out.
         assert!(low > 0.0 && low < 0.97 * s && high > 1.03 * s, "{low} {s} {high}");
         assert!(found.j_interval.unwrap()[1] - found.j_interval.unwrap()[0] > 0.05 * s);
     }
@@ -90,13 +90,13 @@ fn an_interval_is_narrow_in_spite_of_an_unknown_load_where_all_other_bands_are_r
         let told = row.spread.told(s, j, &Settings::shipped().least(&row.spread, s), 1.0).s;
         (row.spread.trust(s), told[0] <= row.truth[0] && row.truth[0] <= told[1], (told[1] - told[0]) / s)
     };
-    // The bands of the first stand alone; others are nearly as good as those of the second.
+    // The bands of the first have no rivals; those of the second do.
     let ((alone, holds, narrow), (among_others, _, wide)) = (width(41023), width(0));
     assert!(alone == Trust::Distinct && holds && narrow < 0.3, "{alone:?} {narrow}");
     assert!(among_others != Trust::Distinct && wide > 2.0 * narrow, "{among_others:?} {wide}");
 }
 
-/// A loop at rest that a pulse of SP moves a few times.
+/// A loop at rest, moved by a few pulses of SP.
 fn from_rest(seed: u64) -> Loop {
     let mut draw = Draw::new(seed);
     let (gain, tau) = (draw.between(0.5, 2.0), draw.between(8.0, 50.0));

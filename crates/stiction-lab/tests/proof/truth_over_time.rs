@@ -14,7 +14,7 @@ use stiction::core::verdict::{AssessParams, assess};
 const HOUR_NS: i64 = 3_600_000_000_000;
 const START_NS: i64 = 1_767_225_600_000_000_000;
 
-/// A valve's windows: s and how surely stiction is found may change once.
+/// A valve's windows: s and the probability of finding stiction may change once.
 #[derive(Clone, Copy)]
 struct Valve {
     windows: usize,
@@ -25,12 +25,12 @@ struct Valve {
     growth: f64,
     /// Logit of finding stiction, before and after.
     logit: [f64; 2],
-    /// Where the change is, share of the whole; above 1 for none.
+    /// Position of the change, as a share of the whole; above 1 for no change.
     change: f64,
-    /// Standard deviations of ln s: what the interval knows of, and between windows.
+    /// Standard deviations of ln s: the part that the interval covers, and between windows.
     own: f64,
     between: f64,
-    /// Autocorrelation of what lies between windows, from window to window without overlap.
+    /// Autocorrelation of the variation between windows, from window to window without overlap.
     memory: f64,
 }
 
@@ -46,7 +46,7 @@ const STEADY: Valve = Valve {
     memory: 0.0,
 };
 
-/// Standard normal noise of windows that each average `overlap` hops.
+/// Standard normal noise averaged over windows of `overlap` hops each.
 fn averaged(noise: &mut Noise, windows: usize, overlap: usize, memory: f64) -> Vec<f64> {
     let phi = if memory > 0.0 { libm::pow(memory, 1.0 / overlap as f64) } else { 0.0 };
     let mut last = noise.gaussian();
@@ -66,7 +66,7 @@ impl Valve {
         HOUR_NS / self.overlap as i64
     }
 
-    /// When it changes, ns.
+    /// Time of the change, ns.
     fn changes_ns(&self) -> i64 {
         let whole = self.hop_ns() * (self.windows as i64 - 1) + HOUR_NS;
         START_NS + (self.change * whole as f64) as i64
@@ -79,13 +79,13 @@ impl Valve {
         let window = |k: usize| {
             let start_ns = START_NS + self.hop_ns() * k as i64;
             let end_ns = start_ns + HOUR_NS;
-            // A window that the change falls into is a mixture.
+            // A window that contains the change is a mixture.
             let after = ((end_ns - self.changes_ns()) as f64 / HOUR_NS as f64).clamp(0.0, 1.0);
             let mixed = |x: [f64; 2]| x[0] + after * (x[1] - x[0]);
             let grown = self.growth * k as f64 / self.windows as f64;
             let x = mixed(self.log_s) + grown + self.own * own[k] + self.between * between[k];
             let p = 1.0 / (1.0 + libm::exp(-(mixed(self.logit) + 1.5 * doubt[k])));
-            // Windows know their own error to a third.
+            // Windows know their own error to within a third.
             let half = 1.645 * self.own * libm::exp(0.3 * width[k]);
             let s = libm::exp(x);
             let sticks = p > 0.5;
@@ -112,7 +112,7 @@ impl Valve {
     }
 }
 
-/// Histories without a change, and how often one is found.
+/// Histories without a change, and how often a change is found.
 #[test]
 fn no_change_is_found_where_there_is_none() {
     let cases = [
@@ -145,7 +145,7 @@ fn no_change_is_found_where_there_is_none() {
     assert!(share <= 0.01, "{share}");
 }
 
-/// A change of known size and date: how often it is found, and how often its interval holds the date.
+/// A change of known size and date: how often it is found, and how often its interval contains the date.
 #[test]
 fn changes_are_found_and_dated() {
     let step = |pct: f64| [1.0, 1.0 + libm::log(1.0 + 0.01 * pct)];
@@ -195,7 +195,7 @@ fn changes_are_found_and_dated() {
     }
 }
 
-/// The pooled interval holds the true s as often as it says.
+/// The pooled interval contains the true s as often as stated.
 #[test]
 fn the_pooled_interval_holds_the_true_s() {
     let cases = [
@@ -223,7 +223,7 @@ fn the_pooled_interval_holds_the_true_s() {
     }
 }
 
-/// A slow growth is a trend, not a row of steps; and where nothing grows, hardly ever one.
+/// Slow growth is a trend, not a series of steps; without growth a trend is hardly ever found.
 #[test]
 fn a_trend_is_found_and_none_where_there_is_none() {
     let fortnight = Valve { windows: 336, ..STEADY };
@@ -248,7 +248,7 @@ fn a_trend_is_found_and_none_where_there_is_none() {
     assert!(found as f64 > 0.9 * each as f64 && held as f64 > 0.8 * found as f64 && steps < 20);
 }
 
-/// A stray window is named, and hardly any other.
+/// A stray window is named, and hardly any others.
 #[test]
 fn windows_that_contradict_are_named() {
     let valve = Valve { windows: 60, ..STEADY };
@@ -281,7 +281,7 @@ fn windows_that_contradict_are_named() {
     }
 }
 
-/// A loop, second by second, whose valve loses its friction half-way.
+/// A loop, second by second, whose valve loses its friction in the middle of the record.
 fn repaired_half_way(n: usize, seed: u64) -> Record {
     let process = ProcessModel { gain: 1.5, tau: 20.0, tau2: 0.0, dead_time: 5.0, integrating: false };
     let settings = PidSettings {
@@ -312,7 +312,7 @@ fn repaired_half_way(n: usize, seed: u64) -> Record {
     record
 }
 
-/// From samples to the date: the windows of a valve that is repaired half-way, assessed as the daemon would.
+/// From samples to the date: windows of a valve repaired in the middle, assessed as the daemon would.
 #[test]
 fn a_repair_half_way_is_dated_from_samples() {
     let (window, hop, windows) = (900, 450, 32);
@@ -332,7 +332,7 @@ fn a_repair_half_way_is_dated_from_samples() {
     let s_before = change.s_before.unwrap();
     assert!((s_before / 4.0 - 1.0).abs() < 0.15, "{s_before}");
     assert!(told.changes.len() == 1 && told.pooled.is_none() && told.since_ns == Some(change.at_ns));
-    // Before the repair was, all that is known is how far it sticks.
+    // Before the repair, only the size is known.
     let before = over_time(&results[..windows / 2 - 2]).pooled.unwrap();
     assert!((before.s_interval[0]..=before.s_interval[1]).contains(&4.0) || (before.s - 4.0).abs() < 0.2, "{before:?}");
 }

@@ -1,4 +1,5 @@
-//! Plants of known truth: who shares an oscillation, who makes it, and that independent loops keep their own answer.
+//! Plants of known truth: which loops share an oscillation, which one causes it, and that independent loops keep their own
+//! answer.
 
 use crate::cases;
 use stiction::core::plantwide::{Calibration, GroupDocument, PlantLoop, SourceKind, assess_plant, pair_figures};
@@ -17,13 +18,13 @@ fn groups_hold_what_one_source_shakes_and_independent_loops_stay_apart() {
     });
     let [pairs, wrong, sources, named] = [0, 1, 2, 3].map(|k| plants.iter().map(|counts| counts[k]).sum::<usize>());
     assert!(pairs >= 4 && wrong == 0, "{wrong} of {pairs} members are in the wrong group");
-    // Nine in ten are named on 60 plants (docs/plant.md); of few groups one may be missed.
+    // On 60 plants nine in ten are named (docs/plant.md); of a few groups one may be missed.
     let fewest = cases(1, 3);
     assert!(sources >= fewest && 3 * named >= 2 * sources, "{named} of {sources} sources are named");
 }
 
-/// Members beside the first of each group, those among them that share nothing with it, groups with a source, and those
-/// whose source is named.
+/// Members of each group after the first, those among them that are unrelated to it, groups with a source, and those whose
+/// source is named.
 fn counted(seed: u64) -> [usize; 4] {
     let (mut pairs, mut wrong, mut sources, mut named) = (0, 0, 0, 0);
     let case = plant("proof", seed, Difficulty::Easy);
@@ -51,7 +52,7 @@ fn counted(seed: u64) -> [usize; 4] {
             named += usize::from(group.source.kind == SourceKind::Loop && is_source);
         }
     }
-    // The order in which loops come changes nothing.
+    // The order of the loops does not matter.
     let mut turned = loops.clone();
     turned.reverse();
     let members = |groups: Vec<GroupDocument>| {

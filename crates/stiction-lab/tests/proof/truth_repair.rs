@@ -1,4 +1,4 @@
-//! What a repair buys, foretold from a record and simulated in truth. `--nocapture` prints the figures of
+//! Benefit of a repair, predicted from a record and compared with the simulated truth. `--nocapture` prints the figures of
 //! docs/plant.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -16,7 +16,7 @@ use stiction_lab::truth::fixture::Draw;
 const SAMPLES: usize = 1_200;
 const SETTLES: usize = 1_200;
 
-/// A sane loop that cycles by its valve.
+/// A well-tuned loop with a limit cycle from its valve.
 fn drawn(seed: u64) -> LoopModel {
     let mut d = Draw::new(seed.wrapping_mul(104_729).wrapping_add(17));
     let tau = libm::exp(d.between(libm::log(8.0), libm::log(25.0)));
@@ -54,7 +54,7 @@ fn drawn(seed: u64) -> LoopModel {
     }
 }
 
-/// The loop after it has settled into what it does.
+/// A record of the loop after its transient.
 fn recorded(model: &LoopModel, seed: u64) -> Record {
     let start = 1.2 * model.valve.fs * if model.process.integrating { 10.0 } else { 1.0 } * model.process.gain;
     let mut closed = ClosedLoop::new(model.clone(), 0.0, 80.0 + start, seed);
@@ -70,7 +70,7 @@ fn told(record: &Record) -> Result<Repair, NoRepair> {
     )
 }
 
-/// How often an interval holds the truth, and how far values are off.
+/// How often an interval contains the truth, and the errors of the values.
 #[derive(Default)]
 struct Score {
     held: usize,
@@ -118,7 +118,7 @@ fn what_a_repair_buys_is_foretold() {
                 continue;
             }
         };
-        // Another stretch of the same plant: other noise.
+        // Another section of the same plant, with other noise.
         let healthy = LoopModel { valve: ValveModel::HEALTHY, ..model.clone() };
         let halved = PidSettings { kc: 0.5 * model.controller.kc, ..model.controller };
         let half = LoopModel { controller: halved, ..model.clone() };
@@ -142,25 +142,25 @@ fn what_a_repair_buys_is_foretold() {
     slow.print("PV's spread with half the gain");
     travel.print("travel repaired");
     turns.print("turns now");
-    // Where no stiction is found, or the model does not hold in the rest of the record, nothing is computed with it.
+    // If no stiction is found, or the model does not hold in the rest of the record, no benefit is computed.
     assert!(3 * refused <= 2 * each, "{refused} of {each}");
     for score in [&now, &fixed, &slow] {
         assert!(score.share() >= 0.75, "{}", score.share());
     }
-    // And not by saying nothing.
+    // The intervals must also be narrow enough to be useful.
     assert!(stats::median(&fixed.wide) < 8.0 && stats::median(&slow.wide) < 6.0);
 }
 
 #[test]
 fn where_nothing_sticks_and_the_set_point_rests_no_repair_is_computed() {
-    // A tight controller that rings under load, on a valve without friction.
+    // A tight controller that rings under load, with a frictionless valve.
     let mut model = drawn(0);
     model.process = ProcessModel { gain: 1.0, tau: 15.0, tau2: 6.0, dead_time: 6.0, integrating: false };
     model.controller = PidSettings { kc: 1.5, ti_s: 18.0, td_s: 0.0, action: Action::Reverse, ..model.controller };
     model.valve = ValveModel::HEALTHY;
     model.pv_noise_sd = 0.05;
     model.load = vec![Disturbance::Ar1 { sd: 2.0, time_constant_s: 20.0 }];
-    // Under load alone the record shows the controller backwards as well as the process.
+    // Under load alone the record fits the controller backwards as well as the process.
     let refusals: Vec<NoRepair> = (0..3).filter_map(|seed| told(&recorded(&model, seed)).err()).collect();
     assert!(refusals.len() == 3 && refusals.contains(&NoRepair::Untested), "{refusals:?}");
 }
@@ -186,6 +186,6 @@ fn what_cannot_be_told_is_refused_in_words() {
     assert_eq!(answer(&signs), NoRepair::Signs);
     let weak = |a: &mut stiction::core::verdict::Assessment| a.controller.as_mut().unwrap().kc *= 0.1;
     assert!(matches!(answer(&weak), NoRepair::OtherSpread(_) | NoRepair::OtherPace(_)));
-    // Equal arguments, equal answers.
+    // Equal arguments give equal answers.
     assert_eq!(told(&record), told(&record));
 }

@@ -1,4 +1,4 @@
-//! The solvers on the toolbox's own question: bands at their word, the best process behind them.
+//! The solvers on the toolbox's own problem: for exact bands, the error of the best process.
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -40,7 +40,7 @@ fn every_solver_finds_the_bands_of_a_sticking_valve() {
     let record = truth.run().record;
     for solver in optim::ALL {
         let mut surface = Surface::new(&record, &options(), Law::He, Class::First).unwrap();
-        // The grid alone must be told to look closely; the others find their way.
+        // The grid alone needs a fine step; the other solvers refine by themselves.
         let settings = Settings { budget: BUDGET, fineness_pct: 2.0, seed: 1 };
         let found = solve(&mut surface, solver, &settings);
         assert!(
@@ -50,7 +50,7 @@ fn every_solver_finds_the_bands_of_a_sticking_valve() {
         );
         assert!(found.outcome.evaluations <= BUDGET && surface.evaluations() == found.outcome.evaluations);
         assert!(0.0 <= found.fd && found.fd <= found.fs && found.fs + found.fd <= found.s0 * (1.0 + 1e-9));
-        // White noise of 0.05 is what a right model leaves.
+        // A right model leaves white noise of 0.05.
         assert!(found.mse > 0.0015 && found.mse < 0.006, "{}: {}", solver.name(), found.mse);
     }
 }

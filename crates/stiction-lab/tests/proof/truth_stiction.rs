@@ -1,4 +1,4 @@
-//! The fit against simulated truth, and the invariances that every estimate keeps.
+//! Compares the fit with the simulated truth, and tests the invariances of every estimate.
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -19,7 +19,7 @@ fn near(got: f64, want: f64, share: f64) -> bool {
     (got - want).abs() <= share * want.abs()
 }
 
-/// A loop whose valve slips several times each way, so that j is seen apart from the gain.
+/// A loop whose valve slips several times each way, so that j is identified separately from the gain.
 fn staircase(gain: f64, taus: &[f64]) -> Loop {
     Loop {
         fs: 2.6,
@@ -60,8 +60,8 @@ fn noise_free_second_order_is_recovered() {
     assert_eq!(found.process.unwrap().order, 2);
 }
 
-/// rms of the fit over the noise, error of s in %, and the answer, of a loop that moves enough to be measured at all; both
-/// are endless where the answer has no sizes.
+/// Ratio of the fit's rms error to the noise, error of s in %, and the answer, for a loop that moves enough to be measured;
+/// both numbers are infinite if the answer has no sizes.
 fn outcome(case: &Loop) -> Option<(f64, f64, Assessment)> {
     let run = case.run();
     let span = stats::span(&run.record.op_path);
@@ -90,14 +90,14 @@ fn batch(kind: u8, seeds: std::ops::Range<u64>) -> (f64, f64, f64) {
 #[test]
 fn noisy_first_order_loops_reach_the_noise_floor() {
     let (floor, error, sticking) = batch(0, 0..cases(20, 48));
-    // 0.94 of the first 47 before closer looks came after the first one, 0.89 since; of 58 loops 50 both times.
+    // 0.94 of the first 47 loops before closer looks followed the first one, 0.89 since; 50 of 58 loops both times.
     assert!(floor >= 0.85 && error < cases(1.0, 0.3) && sticking > 0.7);
 }
 
 #[test]
 fn noisy_second_order_loops_are_measured() {
     let (floor, error, sticking) = batch(1, 0..cases(14, 32));
-    // A second lag that held-out data do not miss is taken for dead time, and s goes with it.
+    // A second lag that held-out data do not need is fitted as dead time, which shifts s.
     assert!(floor >= 0.75 && error < 4.0 && sticking > 0.35);
 }
 
@@ -112,7 +112,7 @@ fn a_pure_stick_slip_cycle_gives_s_within_the_sampling() {
     let case = Loop { fd: 0.0, fs: 4.0, noise: 0.05, sp: |_| 2.0, warm_up: 400, ..staircase(1.3, &[12.0]) };
     let run = case.run();
     let found = assess(&run.record, &params());
-    // OP moves this much from sample to sample, so slips are not timed better.
+    // OP moves by this much from sample to sample, which limits the timing of slips.
     let step = stats::quantile(&run.record.op_path.windows(2).map(|w| (w[1] - w[0]).abs()).collect::<Vec<_>>(), 0.9);
     assert!((found.s.unwrap() - 4.0).abs() < 2.0 * step + 0.1, "s {:?}, step {step}", found.s);
 }
@@ -135,7 +135,7 @@ fn boxes_keep_the_bands() {
     let record = boxed(1.0, &run.record.op_path, &run.record.pv, 4);
     assert_eq!(record.path_per_point(), 4);
     let found = assess(&record, &params());
-    // A slip is known to the extremes of its box only, so s and the dead time trade against each other.
+    // The bin's extremes are all that is known of a slip, so s and the dead time compensate each other.
     assert!(near(found.s.unwrap(), case.fs + case.fd, 0.1), "{found:?}");
     assert!((found.process.as_ref().unwrap().dead_time_s - 14.0).abs() < 12.0, "{:?}", found.process);
 }
@@ -207,7 +207,7 @@ proptest! {
     ) {
         let record = Loop { n: 500, ..Loop::random(0, seed) }.run().record;
         let base = assess(&record, &params());
-        // A loop that moves less than its valve sticks says nothing to compare.
+        // A loop that moves less than its valve's band gives nothing to compare.
         prop_assume!(base.s.is_some());
         let mut other = record.clone();
         other.op_path.iter_mut().for_each(|u| *u *= c);
@@ -228,7 +228,7 @@ proptest! {
     fn a_shift_of_pv_changes_nothing_that_matters(seed in 0_u64..40, shift in -100.0_f64..100.0) {
         let record = Loop { n: 500, ..Loop::random(0, seed) }.run().record;
         let base = assess(&record, &params());
-        // A loop that moves less than its valve sticks says nothing to compare.
+        // A loop that moves less than its valve's band gives nothing to compare.
         prop_assume!(base.s.is_some());
         let mut other = record.clone();
         other.pv.iter_mut().for_each(|p| *p += shift);

@@ -1,4 +1,4 @@
-//! OP and PV under each other's names, on real recordings.
+//! Swapped OP and PV, on real recordings.
 
 use crate::labelled;
 

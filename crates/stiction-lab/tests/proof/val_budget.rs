@@ -1,10 +1,10 @@
-//! The budget on real recordings: effects put into loops that are closed again around the recording, and what every recording
-//! tells. Three benchmarks that print their tables:
+//! The budget on real recordings: effects added to loops that are simulated in closed loop around the recording, and the result
+//! for every recording. Three benchmarks print their tables:
 //!
 //! `cargo test -p stiction-lab --test proof val_budget -- --ignored --nocapture`
 //!
-//! `ODD=1` takes the odd places of the index alone, on which nothing was chosen, `ODD=0` the even ones. The
-//! cap on printed least sizes was set with a look at both.
+//! `ODD=1` uses only the odd positions of the index, on which nothing was chosen, `ODD=0` the even ones. The cap on printed
+//! least sizes was tuned on both.
 
 use std::collections::BTreeSet;
 
@@ -22,17 +22,17 @@ use stiction::core::ident::controller;
 use stiction::core::record::Record;
 use stiction_lab::hybrid::{EFFECTS, Loop};
 
-/// Samples of a recording that are taken.
+/// Samples used of each recording.
 const SAMPLES: usize = 1_800;
-/// Models tried for a recording's whole answer.
+/// Models tried for a recording's complete answer.
 const MANY: u64 = 200_000;
-/// Ways and sizes in which an effect is put in: PV alone, or the loop closed again.
+/// Ways and sizes of adding an effect: to PV alone, or in closed loop.
 const WAYS: [(&str, f64); 4] = [("PV", 0.5), ("PV", 1.0), ("loop", 0.5), ("loop", 1.0)];
-/// Nulls resampled from each recording, and effects of the printed least size put into each.
+/// Null records resampled from each recording, and effects of the printed least size added to each.
 const NULLS: u64 = 2;
 const CHECKS: usize = 2;
 
-/// Every recording with a regular cycle, data that the index has twice once.
+/// Every recording with a regular cycle; data listed twice in the index appear once.
 fn with_a_cycle(test: &str) -> Option<Vec<(String, Record)>> {
     let all = labelled::labelled_or_skip(test)?;
     let index = std::fs::read_to_string(format!("{RECORDINGS}/INDEX.csv")).ok()?;
@@ -63,7 +63,7 @@ fn diagnosed(record: &Record, evaluations: u64) -> Option<(Diagnosis, GapOptions
     diagnose(record, &options, &Serial).ok().map(|made| (made, options))
 }
 
-/// What a budget names, and whether it is confirmed.
+/// Effects that a budget names, and whether they are confirmed.
 type Names = Vec<(String, bool)>;
 
 fn names(record: &Record) -> Names {
@@ -72,18 +72,18 @@ fn names(record: &Record) -> Names {
     all.map(|(added, sure)| (added.shape.id().to_owned(), *sure)).chain(cause).collect()
 }
 
-/// What was found on one recording.
+/// Results for one recording.
 struct Found {
     even: bool,
     read: bool,
     unstable: usize,
     before: Names,
-    /// Effect and way by their places, with what was named.
+    /// Effect and way by their indices, with the effects that were named.
     made: Vec<(usize, usize, Names)>,
     nulls: Vec<Names>,
 }
 
-/// What closes a recording's loop.
+/// The budget that closes a recording's loop.
 fn closing(record: &Record) -> Option<Budget> {
     Budget::of(record, Known { period: period(record), ..Known::default() })
 }
@@ -133,7 +133,7 @@ fn least(record: &Record) -> Option<[Vec<bool>; 2]> {
     Some([printed.smallest_step.map_or_else(Vec::new, step), printed.smallest_sinusoid.map_or_else(Vec::new, wave)])
 }
 
-/// The recordings of the half that is asked for, with their places.
+/// The recordings of the requested half, with their positions.
 fn of_half(all: &[(String, Record)]) -> Vec<(usize, &Record)> {
     let odd = std::env::var("ODD").ok().map(|odd| odd == "1");
     let places = all.iter().enumerate().filter(|(place, _)| odd.is_none_or(|odd| odd != place.is_multiple_of(2)));
@@ -153,7 +153,8 @@ fn effects_of_the_printed_least_size_are_named() {
     }
 }
 
-/// The table of one half of the recordings; returns what was named at full size in closed loops, by effect, of how many.
+/// The table of one half of the recordings; returns for each effect how many were named at full size in closed loop, of how
+/// many.
 fn table(name: &str, all: &[&Found]) -> Vec<[usize; 2]> {
     let count = |is: &dyn Fn(&Found) -> bool| all.iter().filter(|f| is(f)).count();
     println!("\n{name}: {} recordings with a cycle, the controller read in {}", all.len(), count(&|f| f.read));
@@ -162,7 +163,7 @@ fn table(name: &str, all: &[&Found]) -> Vec<[usize; 2]> {
     for (effect, id) in EFFECTS.iter().enumerate() {
         for (way, (kind, size)) in WAYS.iter().enumerate() {
             let mut sums = [0; 5];
-            // Where the recording as it is has the effect's name, a hit says nothing.
+            // If the original recording already has the effect's name, a hit proves nothing.
             for found in all.iter().filter(|f| f.before.iter().all(|(own, _)| own != id)) {
                 for (_, _, names) in found.made.iter().filter(|(e, w, _)| (*e, *w) == (effect, way)) {
                     let new = |own: &str| own != *id && found.before.iter().all(|(other, _)| *other != own);

@@ -1,8 +1,8 @@
-//! Effects that the budget alone names, on simulated loops that nothing was chosen on:
+//! Effects that only the budget names, on simulated loops on which nothing was chosen:
 //!
 //! `SEED=60 CASES=20 cargo test -p stiction-lab --test proof val_effects -- --ignored --nocapture`
 //!
-//! Odd seeds are the development set. Seed 66 served for development, too.
+//! Odd seeds are the development set. Seed 66 was used for development, too.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use stiction::core::gap::{GapOptions, Serial, diagnose};
 use stiction::core::record::Record;
 use stiction_lab::challenge::{Deck, Kind, Split, TruthCase};
 
-/// Models tried in a diagnosis.
+/// Models tried per diagnosis.
 const FEW: u64 = 20_000;
 
 /// An environment variable as a number.
@@ -20,7 +20,7 @@ pub(crate) fn asked(name: &str, usual: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
 }
 
-/// The budget of a record after a short diagnosis; and the cause that has a row in it, and whether that is confirmed.
+/// The budget of a record after a short diagnosis; also the cause that it contains, and whether the cause is confirmed.
 pub(crate) fn budget(record: &Record) -> Option<(Budget, Option<(String, bool)>)> {
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let options = GapOptions { period_points: period, budget_evaluations: FEW, ..GapOptions::default() };
@@ -36,12 +36,12 @@ pub(crate) fn budget(record: &Record) -> Option<(Budget, Option<(String, bool)>)
     Some((budget, cause))
 }
 
-/// What the budget names, and whether it is confirmed.
+/// Effects that the budget names, and whether they are confirmed.
 fn names(record: &Record) -> Vec<(String, bool)> {
     budget(record).map(|(budget, cause)| budget.named().into_iter().chain(cause).collect()).unwrap_or_default()
 }
 
-/// Loops, those with a name or a confirmed one of the effect itself, and of each that was not put in.
+/// Number of loops, how many name the added effect (and confirm it), and the same for each effect that was not added.
 #[derive(Default)]
 struct Row {
     of: usize,
@@ -78,7 +78,7 @@ fn effects_that_the_budget_alone_names() {
         let others: Vec<String> = row.others.iter().map(|(id, [all, sure])| format!("{id} {all} ({sure})")).collect();
         println!("{effect:<32} {:>4} {:>6} {:>10}  {}", row.of, row.right[0], row.right[1], others.join(", "));
     }
-    // A load that comes through the process looks like what wanders; one on PV itself must be seen.
+    // A load through the process looks like a wandering load; one on PV itself must be found.
     let seen = &rows["upsets, on pv"];
     assert!(2 * seen.right[0] >= seen.of, "{} of {}", seen.right[0], seen.of);
     let wrong = rows["none"].others.get(Kind::OF_BUDGET.id()).map_or(0, |[all, _]| *all);

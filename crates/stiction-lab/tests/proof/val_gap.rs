@@ -1,4 +1,4 @@
-//! Every recording of real loops that there is: what `gap` says first explains something, and its bump is one that a plant can take.
+//! All available recordings of real loops: the headline of `gap` explains something, and a plant could tolerate its bump test.
 
 use crate::labelled;
 
@@ -8,19 +8,19 @@ use stiction::core::gap::text::{answer, summary};
 use stiction::core::gap::{GapOptions, Serial, diagnose};
 use stiction::core::guard::SHIFT_S;
 
-/// Models tried for each record: a fraction of what `gap` takes, so that the test ends in minutes.
+/// Models tried per record: a fraction of those of `gap`, so that the test ends in minutes.
 const EVALUATIONS: u64 = 20_000;
 
-/// Least of the gap that a headline closes, %.
+/// Smallest share of the gap that a headline may claim to close, %.
 const LEAST_CLOSED: f64 = 10.0;
 
-/// The per cent that a sentence says are closed.
+/// The percentage that a sentence claims to be closed.
 fn closed_of(sentence: &str) -> Option<f64> {
     let (_, rest) = sentence.split_once("closes ")?;
     rest.split(' ').find_map(|word| word.parse().ok())
 }
 
-/// What is wrong with a diagnosis as it is shown.
+/// Faults of a displayed diagnosis.
 fn faults(d: &GapDocument) -> Vec<String> {
     let [conclusion, next, cost] = summary(d);
     let mut out = Vec::new();
@@ -56,7 +56,7 @@ fn no_headline_on_any_recording_closes_less_than_a_tenth_of_the_gap() {
     for item in &all {
         let period = oscillation::detect(&item.record.op(), &item.record.pv).map(|o| o.period_points);
         let options = GapOptions { period_points: period, budget_evaluations: EVALUATIONS, ..GapOptions::default() };
-        // A record without a base is refused with its reason.
+        // A record without a base is refused with a reason.
         let Ok(diagnosis) = diagnose(&item.record, &options, &Serial) else { continue };
         diagnosed += 1;
         let document = GapDocument::new(&item.file, &item.record, &options, &diagnosis);

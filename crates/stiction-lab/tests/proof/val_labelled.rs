@@ -1,12 +1,12 @@
-//! Verdicts on labelled recordings of real loops, against what an independent implementation of the published method
-//! reaches. The recordings are not part of the project; without them the test is skipped, loudly.
+//! Verdicts on labelled recordings of real loops, compared with an independent implementation of the published method. The
+//! recordings are not part of the project; without them the test is skipped, loudly.
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::labelled;
 use std::collections::BTreeMap;
 
-/// Right verdicts of the yardstick by source.
+/// Correct verdicts of that implementation, by source.
 const YARDSTICK: [(&str, usize); 3] = [("isdb", 13), ("plant", 46), ("sacac", 6)];
 
 #[test]

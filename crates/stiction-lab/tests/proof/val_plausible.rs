@@ -1,4 +1,4 @@
-//! Every recording of real loops that there is: what is said of it could be said to a control engineer.
+//! All available recordings of real loops: every answer is plausible to a control engineer.
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -10,7 +10,7 @@ use stiction::core::verdict::Assessment;
 use stiction::core::verdict::bump_test::bump_test;
 use stiction::core::verdict::words;
 
-/// What is wrong with an answer, by bounds that are wider than the program's own and know nothing of its table.
+/// Implausible properties of an answer, by limits wider than the program's own and independent of its table.
 fn nonsense(a: &Assessment, record: &Record, kind: &str) -> Vec<String> {
     let [pv_span, op_span] = [&record.pv, &record.op_path].map(|x| {
         let (low, high) = x.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));

@@ -1,4 +1,4 @@
-//! Windows of one valve together: five of four periods against one recording of twenty.
+//! Pools windows of one valve: five of four periods compared with one recording of twenty.
 //!
 //! `cargo test -p stiction-lab --test proof val_pool -- --ignored --nocapture` prints the table; `SEED` (46), `CASES` (1) of
 //! each effect and `EVALUATIONS` choose the loops and the search.
@@ -9,7 +9,7 @@ use stiction::core::record::Record;
 use stiction_lab::challenge::Kind;
 use stiction_lab::challenge::windows::{InWindows, in_windows};
 
-/// Model responses that each search may compute: three tenths of what `gap` takes, so that the benchmark ends in half an hour.
+/// Model responses that each search may compute: three tenths of those of `gap`, so that the benchmark ends in half an hour.
 const EVALUATIONS: u64 = 300_000;
 
 fn number(name: &str, usual: u64) -> u64 {
@@ -37,10 +37,10 @@ fn diagnosed<'r>(records: impl IntoIterator<Item = &'r Record>) -> Vec<(String, 
 fn five_windows_of_four_periods_answer_better_than_one() {
     let (seed, cases) = (number("SEED", 46), number("CASES", 1) as usize);
     let kinds = Kind::CATALOGUE.into_iter().chain([Kind::FILTER]).map(Some).chain([None; 4]);
-    // Right, and another name: the recording of twenty periods, five windows together, one window (a mean of the five).
+    // Right name, and wrong name: for the recording of twenty periods, five windows together, one window (mean of the five).
     let (mut right, mut wrong, mut all) = ([0.0; 3], [0.0; 3], 0);
     for (kind, index) in kinds.flat_map(|kind| (0..cases).map(move |i| (kind, i))) {
-        // Each loop without an effect is another.
+        // Every loop without an effect has its own seed.
         let InWindows { effect, whole, windows } =
             in_windows(seed + if kind.is_none() { 2 * all } else { 0 }, kind, index);
         let each = diagnosed(&windows);
@@ -73,7 +73,7 @@ fn what_several_windows_show_is_the_answer_and_the_clearest_is_shown() {
     let is_clearest =
         |w: &(String, &Record, Diagnosis)| w.2.cause.id != NONE || w.2.cause.probability <= clearest.probability;
     assert!(each.iter().all(is_clearest));
-    // A frozen sensor in one window may be chance; in two it is the answer.
+    // A frozen sensor in one window may be chance; in two windows it is the answer.
     let mut frozen = each.clone();
     let trace = "frozen_sensor".to_owned();
     frozen[0].2.findings.basis.traces = vec![trace.clone()];

@@ -1,5 +1,5 @@
-//! The published method's index against the one that an industrial implementation printed beside its plant windows.
-//! The recordings are not part of the project; without them the test is skipped, loudly.
+//! Compares the published method's index with the one that an industrial implementation printed next to its plant windows. The
+//! recordings are not part of the project; without them the test is skipped, loudly.
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -10,7 +10,7 @@ use stiction::core::ident::one_step::{Search, toolbox};
 use stiction::core::signal::stats;
 
 const FOLDER: &str = labelled::RECORDINGS;
-/// Least correlation. The zero in front of the record matters: without it 0.969.
+/// Smallest correlation. The zero in front of the record matters: without it, the correlation is 0.969.
 const WANTED: f64 = 0.98;
 
 /// Index and search bound by file.
@@ -40,7 +40,7 @@ fn the_printed_index_is_reproduced() {
     for item in labelled::labelled(FOLDER) {
         let Some([value, bound]) = printed.get(&item.file) else { continue };
         let (op, pv) = (item.record.op(), &item.record.pv);
-        // The implementation lets no gain be negative: it prints 0 for the windows of reverse processes.
+        // The implementation rejects negative gains: it prints 0 for the windows of processes with reverse sign.
         let Some(found) = toolbox(&op, pv, &Search::published(*bound, 1.0)) else {
             eprintln!("aside: {}: printed {value}, PV does not move", item.file);
             continue;

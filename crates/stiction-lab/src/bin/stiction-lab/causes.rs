@@ -1,4 +1,4 @@
-//! `stiction-lab causes`: how often tuning and disturbances are named, and named rightly.
+//! `stiction-lab causes`: how often tuning and disturbances are named, and how often correctly.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -39,9 +39,9 @@ struct Judged {
     truth: &'static str,
     verdict: Verdict,
     p: Option<f64>,
-    /// Groups that have a row in the table.
+    /// Groups with a row in the table.
     groups: Vec<String>,
-    /// Something moves the loop from outside, whatever its truth is called.
+    /// Whether an external disturbance acts on the loop, whatever the cause is called.
     disturbed: bool,
 }
 
@@ -59,7 +59,7 @@ impl Judged {
         Self { name, truth: found.cause, verdict: a.verdict, p: a.p_calibrated, groups, disturbed }
     }
 
-    /// Whether the named cause is right; `None` where none is named.
+    /// Whether the named cause is right; `None` if none is named.
     fn right(&self) -> Option<bool> {
         match self.verdict {
             Verdict::Tuning => Some(self.truth == "tuning"),

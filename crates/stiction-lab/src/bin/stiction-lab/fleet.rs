@@ -1,4 +1,4 @@
-//! `stiction-lab fleet`: how long the loops of a plant take to compare.
+//! `stiction-lab fleet`: how long comparing the loops of a plant takes.
 
 use serde_json::json;
 
@@ -9,7 +9,7 @@ use stictiond::cli::{Format, Outcome, cpu, say};
 /// Numbers of loops.
 const LOOPS: [usize; 3] = [1_000, 10_000, 100_000];
 
-/// Prints the figures of each number of loops, as soon as they are there.
+/// Prints the results for each number of loops as soon as they are available.
 ///
 /// # Errors
 /// Stdout is closed.

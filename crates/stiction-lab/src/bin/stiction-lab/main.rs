@@ -1,5 +1,5 @@
-//! `stiction-lab` checks and calibrates what `stictiond` says: challenges with a withheld cause, the fits of the classifier, of
-//! the intervals and of the rules for plants, causes of known loops. A plant's daemon needs none of it.
+//! `stiction-lab` tests and calibrates `stictiond`: challenges with a withheld cause, the fits of the classifier, of the
+//! intervals and of the rules for plants, loops of known cause. A plant's daemon needs none of it.
 
 #![allow(clippy::disallowed_methods, clippy::disallowed_types)]
 

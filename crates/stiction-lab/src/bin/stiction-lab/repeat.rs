@@ -1,7 +1,8 @@
-//! Whether the intervals of one valve agree: of both halves of a recording, and of the windows that the daemon would judge.
+//! Repeatability of the intervals for one valve: between both halves of a recording, and between the windows that the daemon
+//! would judge.
 //!
-//! Nobody knows the size of the stiction in a recording of a real loop, but within an hour or a day a valve has one. Two intervals
-//! of 90 % from different data that are right overlap in some .97 of all pairs.
+//! The true size of the stiction in a recording of a real loop is unknown, but within an hour or a day a valve has one size.
+//! Two correct intervals of 90 % from different data overlap in about 97 % of all pairs.
 
 use std::path::{Path, PathBuf};
 
@@ -31,7 +32,7 @@ pub struct Args {
     pub windows: Option<usize>,
 }
 
-/// One judgement of a stretch that is called sticking.
+/// One judgement of a section that is called sticking.
 #[derive(Debug, Clone, Serialize)]
 struct Sized {
     s: f64,
@@ -67,14 +68,14 @@ impl Pair {
         a[0] <= b[1] && b[0] <= a[1]
     }
 
-    /// The wider interval's width over the other's, as logarithms.
+    /// Ratio of the wider interval's width to the other's, as logarithms.
     fn ratio(&self) -> f64 {
         let [a, b] = [0, 1].map(|k| self.of[k].width());
         a.max(b) / a.min(b)
     }
 }
 
-/// Prints how far repeated judgements of the recordings of an index agree.
+/// Prints how well repeated judgements of the recordings of an index agree.
 ///
 /// # Errors
 /// The index cannot be read, or nothing can be printed.
@@ -110,7 +111,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Judgements that follow each other, where both call the valve sticking.
+/// Consecutive judgements that both call the valve sticking.
 fn pairs(case: &Case, first: &LoadedLoop, last: Option<usize>) -> Vec<Pair> {
     let found = match last {
         None => halves(case, first),

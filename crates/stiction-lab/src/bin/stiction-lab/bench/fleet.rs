@@ -60,10 +60,10 @@ impl Ask {
         self.rate.unwrap_or(2.0 * self.loops as f64 / self.every_s)
     }
 
-    /// What to publish before and while measuring. The hop ends in the middle of the latter.
+    /// Plans for filling and for measuring. The hop ends in the middle of the latter.
     fn plans(&self) -> [Plan; 2] {
         let scans = (self.for_s * self.pace() / (2.0 * self.loops as f64)).ceil().max(1.0) as u64;
-        // Four of them at least, so that the hop ends among them.
+        // At least four batches, so that the hop ends among them.
         let scans = scans.max(4).next_multiple_of(self.batch);
         let hop_ns = ns_from_s(self.hop_s).max(1);
         let end_ns = now_ns().div_euclid(hop_ns) * hop_ns;
@@ -142,7 +142,7 @@ pub struct Figures {
     /// Messages sent before measuring.
     filled: f64,
     before: Seen,
-    /// When everything was sent and taken, and when all windows were judged.
+    /// Snapshots after everything was sent and taken, and after all windows were judged.
     after: Seen,
     judged: Seen,
     recorded_bytes: f64,
@@ -167,7 +167,7 @@ pub fn run(ask: &Ask) -> anyhow::Result<Figures> {
     };
     let (sent, after) = published(&place, &daemon, &measured, filled)?;
     let judged = daemon.until(JUDGED_WITHIN, |seen| seen.count("estimates") >= seen.count("windows"))?;
-    // Everything is on the disk once the files are whole.
+    // The recordings have their final size once their files are closed.
     let recordings = daemon.recorded_bytes();
     daemon.stop()?;
     let first_sample_s = restart(&place, &measured)?;
@@ -199,7 +199,7 @@ fn taken(daemon: &Watched, samples: f64) -> anyhow::Result<Seen> {
     let all = |seen: &Seen| seen.count("samples") >= samples && seen.count("recorded") >= samples;
     match daemon.until(DRAIN_WITHIN, all) {
         Ok(seen) => Ok(seen),
-        // What is missing by now is lost, and the table says so.
+        // Samples missing by now are lost, and the table reports them.
         Err(_) => daemon.look(),
     }
 }

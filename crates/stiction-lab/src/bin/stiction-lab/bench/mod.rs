@@ -28,7 +28,7 @@ use stictiond::cli::{Format, Outcome, block_on, say};
 use stictiond::commands::{demo, play};
 use stictiond::daemon::RunOptions;
 
-/// Loops that kernels are timed on.
+/// Loops on which kernels are timed.
 const SCENARIO: &str = include_str!("../../../../../../recordings/scenarios/four-loops.toml");
 /// Loops of the loopback test, and its default rate in messages/s.
 const LOOPS: usize = 1000;
@@ -200,7 +200,7 @@ fn ingest(args: &Args) -> anyhow::Result<Vec<Row>> {
         let session = stictiond::cli::bus::connect(&format!("tcp/127.0.0.1:{port}")).await?;
         play::wait_for_subscriber(&session, PREFIX).await?;
         let sent = feed(&session, args).await?;
-        // The daemon's health is made every 5 s: wait for one that is younger than the last message.
+        // The daemon updates its health every 5 s: wait for an update after the last message.
         tokio::time::sleep(Duration::from_secs(6)).await;
         let health = last_health(&session)?;
         drop(stop);

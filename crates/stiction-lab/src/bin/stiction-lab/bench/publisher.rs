@@ -21,7 +21,7 @@ use stictiond::cli::say;
 const SLICE: Duration = Duration::from_millis(2);
 /// One in this many loops sticks and oscillates: 2 %.
 const STICKS: usize = 50;
-/// Its period, in samples.
+/// The period of its oscillation, in samples.
 const PERIOD: u64 = 60;
 
 /// What to publish.
@@ -40,7 +40,7 @@ pub struct Plan {
     pub pace: f64,
 }
 
-/// What was sent.
+/// Totals of what was sent.
 #[derive(Debug, Clone, Copy)]
 pub struct PublisherFigures {
     pub messages: f64,
@@ -134,7 +134,7 @@ pub fn run(endpoint: &str, plan: &str) -> anyhow::Result<()> {
     (sent.seconds, sent.cpu_s) = (started.elapsed().as_secs_f64(), cpu::process_seconds());
     let PublisherFigures { messages, samples, seconds, cpu_s } = sent;
     say(json!({"messages": messages, "samples": samples, "seconds": seconds, "cpu_s": cpu_s}))?;
-    // What still lies in the session's queues would go with it: it stays until whoever started it has seen all arrive.
+    // Closing the session would drop its queued messages, so wait until the parent has seen all arrive.
     let _ = std::io::stdin().read_to_end(&mut Vec::new());
     session.close().wait().map_err(|e| anyhow!("{e}"))
 }

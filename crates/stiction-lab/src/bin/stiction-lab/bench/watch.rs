@@ -118,7 +118,7 @@ impl Watched {
         }
     }
 
-    /// Waits until it answers.
+    /// Waits until the daemon answers.
     pub fn answers(&self) -> anyhow::Result<Seen> {
         self.until(START_WITHIN, |_| true)
     }
@@ -184,7 +184,7 @@ fn threads(proc: &Path) -> BTreeMap<&'static str, f64> {
     let mut parts = BTreeMap::new();
     for entry in fs::read_dir(proc.join("task")).into_iter().flatten().flatten() {
         let text = fs::read_to_string(entry.path().join("stat")).unwrap_or_default();
-        // The name stands in brackets and may hold anything.
+        // The name is in brackets and may contain any character.
         let (Some(open), Some(close)) = (text.find('('), text.rfind(')')) else { continue };
         let name = &text[open + 1..close];
         let part = PARTS.iter().find(|(start, _)| name.starts_with(start)).map_or("other", |(_, part)| part);

@@ -1,4 +1,4 @@
-//! `stiction-lab calibrate --bump-test`: the bump tests that estimates propose, carried out on simulated valves.
+//! `stiction-lab calibrate --bump-test`: runs the proposed bump tests on simulated valves.
 
 use std::collections::BTreeMap;
 
@@ -8,12 +8,12 @@ use stiction_lab::bump_test::{LAWS, NOISE, Row, Trial, enough, sticking, table};
 use stiction_lab::truth::Half;
 use stictiond::cli::{Format, Outcome, on_all_cores, say};
 
-/// Loops of a law that are looked at for each test that is wanted, at most.
+/// Most loops per law tried for each requested test.
 const MORE: u64 = 4;
-/// Seeds that are looked at together.
+/// Number of seeds per batch.
 const BATCH: u64 = 16;
 
-/// Carries out `tests` tests, equally many of each law and level of noise, and each again on a valve without friction.
+/// Runs `tests` tests, equally many for each law and level of noise, and repeats each on a valve without friction.
 pub(super) fn run(tests: u64, seed: u64, format: Format) -> anyhow::Result<Outcome> {
     let cells = LAWS.len() * (NOISE.len() - 1);
     let each = (tests as usize).div_ceil(cells).max(1);

@@ -1,4 +1,4 @@
-//! `stiction-lab calibrate --intervals`: how wide intervals have to be, and how often they hold.
+//! `stiction-lab calibrate --intervals`: the required width of intervals, and how often they contain the truth.
 
 use std::fs;
 use std::path::Path;
@@ -11,8 +11,8 @@ use stiction_lab::calibrate_intervals::{Coverage, Row, fit, look, table};
 use stiction_lab::truth::{Half, Regime};
 use stictiond::cli::{Format, Outcome, on_all_cores, print, say};
 
-/// Measures `loops` loops of every regime and half, from `seed` on; fits on one half, reports the other; writes what
-/// was fitted to `out`.
+/// Measures `loops` loops of every regime and half, starting with `seed`; fits on one half, reports the other, and writes the
+/// result to `out`.
 ///
 /// # Errors
 /// `out` cannot be written.

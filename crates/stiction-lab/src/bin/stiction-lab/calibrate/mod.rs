@@ -165,7 +165,7 @@ fn gather(args: &Args) -> anyhow::Result<Vec<Example>> {
         _ => BTreeMap::new(),
     };
     let missing: Vec<Source> = sources.iter().filter(|s| !known.contains_key(&s.name())).map(copy).collect();
-    // In parts, so that a broken run keeps what it had.
+    // In batches, so that an interrupted run keeps its results.
     for part in missing.chunks(200) {
         let found = on_all_cores(part, Source::name, |source| look(&base, source));
         let mut lines = String::new();
@@ -236,7 +236,7 @@ fn by_source<'e>(told: &[(&'e Example, Scored)]) -> BTreeMap<&'e str, Vec<Scored
     out
 }
 
-/// The same answers with each valve counted once.
+/// The same answers, with each valve counted once.
 fn by_valve<'e>(told: &[(&'e Example, Scored)]) -> Vec<(&'e Example, Scored)> {
     let keys: Vec<&str> = told.iter().map(|(e, _)| e.valve.as_deref().unwrap_or(&e.name)).collect();
     let mut scored: Vec<Scored> = told.iter().map(|(_, s)| *s).collect();

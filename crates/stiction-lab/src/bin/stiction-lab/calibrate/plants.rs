@@ -1,4 +1,4 @@
-//! `stiction-lab calibrate --plants`: the rules for loops that share an oscillation, and how right they are.
+//! `stiction-lab calibrate --plants`: fits the rules for loops that share an oscillation, and scores them.
 
 use std::fs;
 use std::path::Path;
@@ -12,11 +12,11 @@ use stiction_lab::plants::Difficulty;
 use stiction_lab::truth::Half;
 use stictiond::cli::{Format, Outcome, on_all_cores, say};
 
-/// Fits the rules to `plants` easy and as many hard plants, unless those of this build are asked for, and reports on as
-/// many of the other half, whose clocks differ by up to `skew` periods.
+/// Fits the rules to `plants` easy and as many hard plants, unless those of this build are requested; scores them on as many
+/// plants of the other half, whose clocks differ by up to `skew` periods.
 ///
 /// # Errors
-/// `out` cannot be written; the plants hold no example of one of the rules.
+/// `out` cannot be written; the plants contain no example for one of the rules.
 pub(super) fn run(plants: u64, seed: u64, skew: f64, out: Option<&Path>, format: Format) -> anyhow::Result<Outcome> {
     let settings = Settings::default();
     let rules = match out {

@@ -11,19 +11,19 @@ use stiction_lab::truth::rates::share;
 use stiction_lab::truth::{Half, verdict_case};
 use stictiond::cli::{Format, Outcome, on_all_cores, say};
 
-/// Rows of the table: reversals from the first to the last.
+/// Rows of the table: first and last number of reversals.
 const ROWS: [[usize; 2]; 8] = [[0, 0], [1, 1], [2, 3], [4, 7], [8, 11], [12, 19], [20, 39], [40, usize::MAX]];
 
 /// One record that is called sticking.
 struct Called {
     sticks: bool,
-    /// `None` where it counts by its periods.
+    /// `None` if the record counts by its periods.
     reversals: Option<usize>,
-    /// Surely enough for an alarm.
+    /// Whether the probability is high enough for an alarm.
     alarms: bool,
 }
 
-/// What a record gives, if it is called sticking.
+/// Assesses a record; `None` if it is not called sticking.
 fn called(judgeable: &Judgeable, sticks: bool) -> Option<Called> {
     let params = AssessParams { min_reversals: 0, ..judgeable.params.clone() };
     let a = assess_in_windows(&judgeable.record, &judgeable.windows, &params);
@@ -52,7 +52,7 @@ fn of_recordings(index: &Path) -> anyhow::Result<Vec<Called>> {
     Ok(found.into_iter().filter_map(Result::ok).flatten().collect())
 }
 
-/// Prints a table for each half, and one of the labelled recordings where there are any.
+/// Prints a table for each half, and one for the labelled recordings if there are any.
 pub(super) fn run(loops: u64, seed: u64, index: Option<&Path>, format: Format) -> anyhow::Result<Outcome> {
     let halves = [Half::Calibration, Half::Report].map(|half| (half.name(), of_half(half, loops, seed)));
     let recordings = index.map(of_recordings).transpose()?.map(|found| ("labelled recordings", found));
@@ -68,7 +68,7 @@ pub(super) fn run(loops: u64, seed: u64, index: Option<&Path>, format: Format) -
     Ok(Outcome::Done)
 }
 
-/// Prints one row: so many reversals from the first to the last, or those that count by their periods.
+/// Prints one row: records in this range of reversals, or those that count by their periods.
 fn print(of: &str, found: &[Called], row: Option<[usize; 2]>, format: Format) -> anyhow::Result<()> {
     let is_here = |one: &&Called| match (row, one.reversals) {
         (Some([from, to]), Some(reversals)) => (from..=to).contains(&reversals),

@@ -1,4 +1,4 @@
-//! One line of a challenge's answers: the gap document, and what it was decided from.
+//! One line of a challenge's answers: the gap document, and the evidence for its decision.
 
 use serde_json::{Value, json};
 
@@ -33,7 +33,7 @@ pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagn
     line
 }
 
-/// A cause as a line has it.
+/// A cause in the form of such a line.
 pub(super) fn cause(cause: &Cause) -> Value {
     json!({ "id": cause.id, "probability": cause.probability, "confirmed": cause.confirmed })
 }

@@ -18,7 +18,7 @@ use stictiond::cli::{Format, Outcome, print, say};
 
 /// Thresholds tried.
 const STEP: f64 = 0.01;
-/// Lowest threshold: a named effect with less probability reads as a guess, however often it were right.
+/// Lowest threshold: a named effect with less probability would look like a guess, even if it were often right.
 const LEAST_NAMED: f64 = 0.4;
 
 #[derive(Debug, clap::Args)]

@@ -275,13 +275,13 @@ fn lines(answers: &BTreeMap<String, String>) -> String {
 
 fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     let path = args.dir.join(ANSWERS);
-    // Answers of two searches do not mix.
+    // Answers of different searches must not be mixed.
     let made_with = json!({ "version": stiction::core::VERSION, "search": search_id()?, "evaluations": args.evaluations,
         "seed": args.seed });
     let mut all = recordings(&args.dir)?;
     all.truncate(args.first.unwrap_or(usize::MAX));
     let before = if args.force { BTreeMap::new() } else { answered(&path, &made_with)? };
-    // A line that a kill cut in two would spoil the next one.
+    // Drop a line truncated by a kill: it would corrupt the next one.
     write(&path, lines(&before).as_bytes())?;
     let file = fs::OpenOptions::new().append(true).open(&path).with_context(|| path.display().to_string())?;
     let file = Mutex::new(file);

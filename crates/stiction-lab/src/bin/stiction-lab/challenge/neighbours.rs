@@ -1,4 +1,5 @@
-//! `stiction-lab challenge neighbours`: other loops offered to the diagnosis, the one that acts withheld and revealed among unrelated loops.
+//! `stiction-lab challenge neighbours`: offers other loops to the diagnosis, with the acting loop withheld and then included
+//! among unrelated loops.
 
 use std::collections::BTreeMap;
 
@@ -37,14 +38,14 @@ pub(super) struct Args {
     without_search: bool,
 }
 
-/// Which kind of loop a case is.
+/// Kind of loop in a case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Kind {
     /// Another loop acts on it.
     Driven,
     /// It acts on another loop.
     Driving,
-    /// Nothing to do with any other: those of the challenge.
+    /// Unrelated to any other loop: the loops of the challenge.
     Alone,
 }
 
@@ -60,10 +61,10 @@ impl Kind {
     }
 }
 
-/// The name that the other loop has among the unrelated ones.
+/// Name of the other loop among the unrelated ones.
 const OTHER: &str = "OTHER";
 
-/// An answer, as far as it is counted.
+/// The counted part of an answer.
 #[derive(Debug, Clone)]
 struct Said {
     id: String,
@@ -88,7 +89,7 @@ impl Said {
     }
 }
 
-/// One loop: its answers alone, among unrelated loops, and with the other loop among them.
+/// One loop with its answers: alone, among unrelated loops, and with the other loop among them.
 #[derive(Debug)]
 struct Case {
     kind: Kind,
@@ -96,11 +97,11 @@ struct Case {
     alone: Said,
     withheld: Said,
     revealed: Option<Said>,
-    /// Whether the diagnosed loop's own valve sticks, where another loop acts on it.
+    /// Whether the diagnosed loop's own valve sticks, if another loop acts on it.
     sticks: Option<bool>,
 }
 
-/// Runs all cases and counts.
+/// Runs all cases and prints the counts.
 ///
 /// # Errors
 /// A loop cannot be diagnosed.
@@ -137,12 +138,12 @@ struct Drawn {
     sticks: Option<bool>,
 }
 
-/// The loop of a kind and number, and the other one.
+/// The loop of a kind and number, with the other loop.
 fn drawn(args: &Args, kind: Kind, number: u64) -> Option<Drawn> {
     let split = Split::of_seed(args.seed);
     match kind {
         Kind::Alone => {
-            // Cases are enough of the deck that every kind of effect may come.
+            // As many cases as needed from the deck for every kind of effect to occur.
             let deck = Deck::new(args.seed, split, args.cases.div_ceil(40).max(1) as usize);
             let dealt = deck.deal(number as usize)?;
             let periods_s = vec![dealt.truth.period * dealt.record.ts_s];
@@ -188,7 +189,7 @@ fn case(args: &Args, kind: Kind, number: u64) -> anyhow::Result<Option<Case>> {
         })
     };
     let withheld = ask(others.clone())?;
-    // Neighbours that are not fitted change no other figure: a test holds this.
+    // Neighbours that are not fitted do not change any other result, as a test verifies.
     let alone = if withheld.fitted == 0 || args.without_search { withheld.clone() } else { ask(Vec::new())? };
     let revealed = match other {
         None => None,
@@ -201,7 +202,7 @@ fn case(args: &Args, kind: Kind, number: u64) -> anyhow::Result<Option<Case>> {
     Ok(Some(Case { kind, name: format!("{} {number} ({what})", kind.name()), alone, withheld, revealed, sticks }))
 }
 
-/// What the noise model names without a search.
+/// Result of the noise model alone, without a search.
 fn compared(record: &Record, neighbours: &[Neighbour]) -> Said {
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let compared = compare_neighbours(record, neighbours, period, GapOptions::default().seed);
@@ -218,7 +219,7 @@ fn compared(record: &Record, neighbours: &[Neighbour]) -> Said {
     }
 }
 
-/// Base error over the floor from which there is something to explain.
+/// Ratio of base error to noise floor from which there is something to explain.
 const SHOWS: f64 = 1.35;
 
 fn table(args: &Args, cases: &[Case]) -> String {
@@ -232,7 +233,7 @@ fn table(args: &Args, cases: &[Case]) -> String {
         lines.push(format!("{:<8} {what:<64} {found}/{}", kind.name(), told.len()));
     };
     let shows = |c: &Case| c.alone.over_floor.is_some_and(|over| over >= SHOWS);
-    // Without a search there is no base and no answer to compare with.
+    // Without a search there is neither a base nor an answer to compare.
     let searched = |said: bool| (!args.without_search).then_some(said);
     row("something to explain (base's error over the floor 1.35 or more)", Kind::Driven, &|c| searched(shows(c)));
     let revealed = |c: &Case, of: &dyn Fn(&Said) -> bool| c.revealed.as_ref().map(of);

@@ -1,4 +1,4 @@
-//! `stiction-lab challenge withhold`: diagnoses recordings by a catalogue that lacks their effect, which only the truth tells.
+//! `stiction-lab challenge withhold`: diagnoses recordings with a catalogue that lacks their effect, which the truth names.
 
 use std::path::PathBuf;
 use std::sync::Mutex;
@@ -20,7 +20,7 @@ pub(super) struct Args {
     first: Option<usize>,
 }
 
-/// Runs the command: the answers of these recordings say what was named without their effect.
+/// Runs the command: adds to the answers the causes that are named without the true effect.
 ///
 /// # Errors
 /// The truth was changed, or a recording is not answered or cannot be diagnosed.

@@ -1,4 +1,4 @@
-//! The shipped classifier beside published methods, on the same recordings and simulated loops.
+//! Compares the shipped classifier with published methods, on the same recordings and simulated loops.
 
 use super::Judged;
 use super::simulated::Loops;
@@ -14,22 +14,22 @@ use stiction_lab::truth::rates::{Called, count, share};
 use stiction_lab::truth::{Half, verdict_case};
 use stictiond::cli::{Format, say};
 
-/// Share of the calibration half's healthy loops that a chosen threshold may call sticking.
+/// Largest share of the calibration half's healthy loops that a chosen threshold may call sticking.
 const FALSE_POSITIVES: f64 = 0.05;
 /// The classifier and the published methods.
 const COUNT: usize = 1 + ALL.len();
 
-/// What the classifier and each published method say of one record.
+/// Answers of the classifier and of each published method for one record.
 pub type Answers = [Answer; COUNT];
 
-/// Asks the published methods, and puts the classifier before them.
+/// Applies the published methods and puts the classifier's answer first.
 pub fn answers(record: &Record, assessment: &Assessment, integrating: bool) -> Answers {
     let case = Case::new(record, integrating);
     let classifier = Answer { statistic: assessment.p_calibrated, sticks: assessment.stiction };
     core::array::from_fn(|at| at.checked_sub(1).map_or(classifier, |at| ALL[at].answer(&case)))
 }
 
-/// A level is taken for an integrating process, as the methods' users take it.
+/// A level loop counts as integrating, as the methods' users would assume.
 pub const fn integrates(kind: LoopKind) -> bool {
     matches!(kind, LoopKind::Level)
 }
@@ -38,7 +38,7 @@ fn name(at: usize) -> &'static str {
     at.checked_sub(1).map_or("shipped classifier", |at| ALL[at].name())
 }
 
-/// How a statistic becomes an answer.
+/// Rule that turns a statistic into an answer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Decision {
     /// By the published thresholds; for the classifier, by its own.
@@ -80,7 +80,7 @@ fn loops_of(loops: Loops, half: Half) -> Vec<Loop> {
     })
 }
 
-/// The least threshold with at most so many false positives among these loops.
+/// The lowest threshold with at most the allowed share of false positives among these loops.
 fn threshold(loops: &[Loop], at: usize) -> f64 {
     let healthy = loops.iter().filter(|one| !one.sticks);
     let mut found: Vec<f64> = healthy.map(|one| one.answers[at].statistic.unwrap_or(f64::NEG_INFINITY)).collect();
@@ -89,7 +89,7 @@ fn threshold(loops: &[Loop], at: usize) -> f64 {
     found.get(allowed).copied().unwrap_or(f64::INFINITY)
 }
 
-/// Prints the comparison: first the simulated loops, where there are any, then the recordings.
+/// Prints the comparison: first the simulated loops, if there are any, then the recordings.
 ///
 /// # Errors
 /// Nothing can be printed.
@@ -191,7 +191,7 @@ fn recordings_table(judged: &[Judged], decisions: &[Decision; COUNT]) -> Vec<Str
     lines
 }
 
-/// A line a recording: what each is, false negative or false positive, `-` without an answer, `.` right.
+/// One line per recording with each method's result: false negative or false positive, `-` without an answer, `.` if right.
 fn wrong_cases(judged: &[Judged]) -> Vec<String> {
     let heads = ["classifier", "toolbox", "Horch", "He", "Yamashita"].map(|head| format!(" {head:>10}")).concat();
     let mut lines = vec![format!("  {:<50} {:<12}{heads}", "recording", "label")];

@@ -63,7 +63,7 @@ pub struct Args {
 struct Judged {
     case: Case,
     result: anyhow::Result<Assessment>,
-    /// What the published methods say beside the classifier, where they are asked.
+    /// Answers of the published methods in addition to the classifier's, if requested.
     answers: Option<methods::Answers>,
     elapsed_s: f64,
 }
@@ -112,7 +112,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Says which labels are not scored: one may be misspelt.
+/// Warns of labels that are not scored: one may be misspelt.
 fn warn_of_labels(judged: &[Judged]) {
     let mut unscored: BTreeMap<&str, u64> = BTreeMap::new();
     for one in judged.iter().filter(|one| one.case.truth().is_none()) {

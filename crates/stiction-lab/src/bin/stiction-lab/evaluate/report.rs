@@ -1,4 +1,4 @@
-//! What an evaluation prints: counts, confusions, every wrong case with its reasons, reliability.
+//! Output of an evaluation: counts, confusions, every wrong case with its reasons, reliability.
 
 use std::collections::BTreeMap;
 
@@ -12,9 +12,9 @@ use stictiond::cli::{Format, say};
 /// Bins of the reliability table.
 const BINS: usize = 5;
 
-/// One way of counting: every record, or the records of a group or valve as shares of one.
+/// One way of counting: every record, or each group or valve with a total weight of one.
 struct Count {
-    /// Its name in the document.
+    /// Name in the document.
     name: &'static str,
     says: &'static str,
     rows: Vec<(String, Tally)>,
@@ -97,7 +97,7 @@ pub(super) fn print(judged: &[Judged], format: Format) -> anyhow::Result<()> {
     }
 }
 
-/// A whole number as one.
+/// A number as JSON, as an integer if it is whole.
 fn count(x: f64) -> Value {
     let whole = x.round();
     if (x - whole).abs() < 1e-9 { json!(whole as u64) } else { json!(x) }
@@ -139,7 +139,7 @@ fn print_json(judged: &[Judged]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A sum of weights: without decimals where it has none.
+/// A sum of weights, without decimals if it is whole.
 fn figure(x: f64) -> String {
     let whole = x.round();
     if (x - whole).abs() < 1e-9 { format!("{}", whole as u64) } else { format!("{x:.2}") }

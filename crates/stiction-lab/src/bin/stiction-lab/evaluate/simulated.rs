@@ -1,4 +1,4 @@
-//! The shipped classifier on simulated loops of known truth, of the half that nothing was fitted to.
+//! The shipped classifier on simulated loops of known truth, of the half that was not used for fitting.
 
 use serde::Serialize;
 use serde_json::json;
@@ -13,7 +13,7 @@ use stiction_lab::truth::rates::{self, Called, reliability_lines};
 use stiction_lab::truth::{Half, TruthLoop, verdict_case, verdict_stretch};
 use stictiond::cli::{Format, on_all_cores, say};
 
-/// Simulated loops: how many, from which seed.
+/// Simulated loops: their number and first seed.
 #[derive(Debug, Clone, Copy)]
 pub struct Loops {
     pub count: u64,
@@ -21,14 +21,14 @@ pub struct Loops {
 }
 
 impl Loops {
-    /// What `work` makes of every loop of a half.
+    /// Applies `work` to every loop of a half.
     pub fn each<R: Send>(self, half: Half, work: impl Fn(u64) -> R + Sync) -> Vec<R> {
         let seeds: Vec<u64> = (self.seed..self.seed.saturating_add(self.count)).collect();
         on_all_cores(&seeds, |seed| format!("{} {seed}", half.name()), |seed| work(*seed))
     }
 }
 
-/// Each loop judged whole, as a recording is.
+/// Judges each loop as a whole, like a recording.
 ///
 /// # Errors
 /// Nothing can be printed.
@@ -91,7 +91,7 @@ pub fn print(loops: Loops, format: Format) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// One loop for programs.
+/// One loop as a JSON document.
 fn document(case: &TruthLoop, a: &Assessment) -> serde_json::Value {
     json!({"schema": "stictiond.simulated_case.v1", "seed": case.seed, "moved_by": case.kind, "sticks": case.sticks,
         "s_true": case.s, "right": a.stiction == Some(case.sticks), "verdict": a.verdict, "stiction": a.stiction,
@@ -99,10 +99,10 @@ fn document(case: &TruthLoop, a: &Assessment) -> serde_json::Value {
         "oscillation": a.oscillation})
 }
 
-/// Shares of valves that stick, for which it is said what an alarm is worth.
+/// Shares of sticking valves for which the value of an alarm is reported.
 const PREVALENCES: [f64; 4] = [0.02, 0.05, 0.1, 0.2];
 
-/// What a decision is worth, by its rates.
+/// Value of a decision, by its rates.
 #[derive(Debug, Clone, Copy, Serialize)]
 struct Worth {
     true_positive_rate: f64,
@@ -118,7 +118,7 @@ impl Worth {
         Self { true_positive_rate, false_positive_rate }
     }
 
-    /// Shares of valves that stick among the loops that are called sticking, and among the others.
+    /// Shares of sticking valves among the loops that are called sticking, and among the others.
     fn sticking(self, prevalence: f64) -> [f64; 2] {
         let share = |of_sticking: f64, of_healthy: f64| {
             let sticking = prevalence * of_sticking;
@@ -129,8 +129,8 @@ impl Worth {
     }
 }
 
-/// Each loop judged in as many windows as an alarm looks at, which overlap as the daemon's do, by its own parameters and its
-/// alarm's own evidence: what one window is worth, and what m of n are.
+/// Judges each loop in as many windows as an alarm considers, with the daemon's overlap, parameters and alarm rule: the value
+/// of one window, and of m of n.
 ///
 /// # Errors
 /// Nothing can be printed.
