@@ -15,7 +15,8 @@
 //! | bands from your own solver | [`solver`] |
 //! | simulation of a loop: valve models, processes, PID, disturbances | [`sim`] |
 //!
-//! Results are typed numbers; documents implement `serde::Serialize`. The feature `schema` derives JSON Schema for the documents.
+//! Results are typed numbers; documents implement `serde::Serialize`. The feature `schema` derives JSON Schema for the
+//! documents.
 //!
 //! # Is the valve sticking?
 //! ```

@@ -17,8 +17,8 @@
 //! | two effects at once | a tenth of all with an effect |
 //! | no effect | `10 k` |
 //!
-//! Within an effect the three sizes, limit cycles and set-point changes, and records with and without the start alternate; noise
-//! (0.5 to 10 % of PV's standard deviation) and whether the valve position is recorded (one in four) are drawn.
+//! Within an effect the three sizes, limit cycles and set-point changes, and records with and without the start alternate;
+//! noise (0.5 to 10 % of PV's standard deviation) and whether the valve position is recorded (one in four) are drawn.
 
 pub mod artefact;
 mod enter;

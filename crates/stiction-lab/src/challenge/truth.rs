@@ -79,8 +79,8 @@ pub struct TruthCase {
     pub dead_time: f64,
     /// Residual of a refitted first-order process behind the true base valve, root mean square, PV units.
     pub base_rmse: f64,
-    /// Residual of the catalogue's form of the truth with the true sizes (gain and bias refitted), PV units; none if the catalogue
-    /// has no such form or chance decides it.
+    /// Residual of the catalogue's form of the truth with the true sizes (gain and bias refitted), PV units; none if the
+    /// catalogue has no such form or chance decides it.
     pub oracle_rmse: Option<f64>,
 }
 

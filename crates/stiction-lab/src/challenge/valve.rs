@@ -90,8 +90,8 @@ impl ValveSpec {
         }
     }
 
-    /// `[fs, fd]` as measured by a slow ramp on the bench, upwards (`1.0`) or downwards (`-1.0`): the breakaway force and the force
-    /// left when the stem rests again, both in OP units.
+    /// `[fs, fd]` as measured by a slow ramp on the bench, upwards (`1.0`) or downwards (`-1.0`): the breakaway force and the
+    /// force left when the stem rests again, both in OP units.
     pub fn bench(&self, along: f64) -> [f64; 2] {
         let clean = Self { positioner_lag: 0.0, rate_limit: f64::INFINITY, stops: [-1e9, 1e9], ..self.clone() };
         let clean = Self { law: Law::Forces, growth: 0.0, scatter: 0.0, ..clean };

@@ -307,8 +307,8 @@ impl LoopKind {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// The kind given by a tag's letters: the first group of letters that looks like a controller's, such as FIC in `10FIC2101`,
-    /// LC in `area_3LC` or PDIC in `PDIC-7`.
+    /// The kind given by a tag's letters: the first group of letters that looks like a controller's, such as FIC in
+    /// `10FIC2101`, LC in `area_3LC` or PDIC in `PDIC-7`.
     #[must_use]
     pub fn of_tag(tag: &str) -> Self {
         let groups = tag.split(|c: char| !c.is_ascii_alphabetic());

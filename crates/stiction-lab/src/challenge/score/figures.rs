@@ -96,7 +96,8 @@ pub struct EffectRow {
     pub named: Rate,
     /// With the effect withheld: answers `unknown`.
     pub unknown: Rate,
-    /// Median gap relative to PV's standard deviation, %: of the base, with the named effect, with the true form, and of the noise.
+    /// Median gap relative to PV's standard deviation, %: of the base, with the named effect, with the true form, and of the
+    /// noise.
     pub gap_without_pct: Option<f64>,
     /// See `gap_without_pct`.
     pub gap_with_pct: Option<f64>,

@@ -3,9 +3,9 @@
 //! Terms. *Answer rate* (`coverage`): share of the cases with an effect of the catalogue that are answered with an effect's id
 //! (`none` and `unknown` are not). *Precision*: right ones among all named effects, including cases without effect and with one
 //! outside the catalogue. *Recall of unknowns*: `unknown` among the cases with an effect outside the catalogue, and the same
-//! among the catalogue's effects when each is withheld. *Not expressed*: the base's held-out error is within [`EXPRESSED`] times
-//! the true noise; `none` is then right too. `unknown` for coloured noise counts as unanswered, coloured noise for `unknown` as
-//! wrong. Pairs of effects are counted separately: naming one of the two is right.
+//! among the catalogue's effects when each is withheld. *Not expressed*: the base's held-out error is within [`EXPRESSED`]
+//! times the true noise; `none` is then right too. `unknown` for coloured noise counts as unanswered, coloured noise for
+//! `unknown` as wrong. Pairs of effects are counted separately: naming one of the two is right.
 
 mod answer;
 mod figures;
@@ -108,8 +108,8 @@ impl Judged<'_> {
         self.answer.withheld.iter().find(|w| w.without == self.truth.effect)
     }
 
-    /// Whether an answer without the true effect is `unknown`, or names one that the full document states to be indistinguishable
-    /// from the truth.
+    /// Whether an answer without the true effect is `unknown`, or names one that the full document states to be
+    /// indistinguishable from the truth.
     fn owns_up(&self, withheld: &Withheld) -> [bool; 2] {
         let said = withheld.cause.id.as_str();
         let unknown = said == "unknown" || (said == "none" && !self.is_expressed());

@@ -122,8 +122,8 @@ impl View {
         Self::beside(&Arc::new(OpSide::new(record, period)), &record.pv, None)
     }
 
-    /// Prepares a PV with one value for each point of the record of `output`. `near` is a band, spans of OP, near which stems are
-    /// tested.
+    /// Prepares a PV with one value for each point of the record of `output`. `near` is a band, spans of OP, near which stems
+    /// are tested.
     #[must_use]
     pub(crate) fn beside(output: &Arc<OpSide>, pv: &[f64], near: Option<f64>) -> Self {
         let predictions =

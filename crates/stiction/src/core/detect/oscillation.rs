@@ -59,8 +59,8 @@ impl Looks {
         }
     }
 
-    /// The loop's oscillation: OP has priority (the controller's integral action smooths it); PV is used if only PV has a regular
-    /// oscillation. `None` if neither has four half periods between zero crossings.
+    /// The loop's oscillation: OP has priority (the controller's integral action smooths it); PV is used if only PV has a
+    /// regular oscillation. `None` if neither has four half periods between zero crossings.
     #[must_use]
     pub(crate) fn together(&self) -> Option<Oscillates> {
         match (self.op, self.pv) {

@@ -3,8 +3,8 @@
 //! A PID controller in velocity form moves OP between samples k - m and k by
 //! `Kc [e(k) - e(k - m)] + Kc Ts/Ti sum e + Kc Td/Ts [d(k) - d(k - m)]`, where e is the error and d the (filtered) move of -PV
 //! (Åström and Hägglund 1995, ch. 3). This is linear in its gains, needs no process model and holds whatever the valve does, so
-//! robust least squares finds the gains. PV may be stamped before or after the OP that was computed from it: every lag is tried,
-//! and the controller counts as identified only if one lag leads clearly.
+//! robust least squares finds the gains. PV may be stamped before or after the OP that was computed from it: every lag is
+//! tried, and the controller counts as identified only if one lag leads clearly.
 
 use core::cell::RefCell;
 

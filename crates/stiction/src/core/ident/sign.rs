@@ -22,7 +22,7 @@ pub(crate) fn of_gain(op: &[f64], pv: &[f64]) -> Option<f64> {
     decided(best_of(op, pv, None)?)
 }
 
-/// As [`of_gain`], with a set point in PV's units: if it moves and PV follows it, SP - PV is tried in addition to -PV. With a
+/// As `of_gain`, with a set point in PV's units: if it moves and PV follows it, SP - PV is tried in addition to -PV. With a
 /// moving set point the controller responds to the error, and PV alone may even move with OP.
 #[must_use]
 pub fn of_gain_with_sp(op: &[f64], pv: &[f64], sp: Option<&[f64]>) -> Option<f64> {

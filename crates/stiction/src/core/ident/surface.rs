@@ -1,5 +1,5 @@
-//! The error surface over the friction bands, as the toolbox plots and searches it: for an exact pair (fs, fd), the mean squared
-//! free-run error of the best process of one class (Lee, Ren and Huang 2008, their error map).
+//! The error surface over the friction bands, as the toolbox plots and searches it: for an exact pair (fs, fd), the mean
+//! squared free-run error of the best process of one class (Lee, Ren and Huang 2008, their error map).
 //!
 //! [`super::quantify`] searches differently (whole cells of equal slips at once, fd solved, several views of the error). This
 //! surface is for general solvers and error maps.

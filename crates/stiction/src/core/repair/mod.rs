@@ -125,8 +125,8 @@ pub enum NoRepair {
     OtherPace(f64),
 }
 
-/// Simulates the effect of a repair. `assessment` is the result of [`crate::core::verdict::assess`] for `record`; if it found no
-/// stiction, the valve follows OP in all cases.
+/// Simulates the effect of a repair. `assessment` is the result of [`crate::core::verdict::assess`] for `record`; if it found
+/// no stiction, the valve follows OP in all cases.
 ///
 /// Pure and seeded: the same arguments give the same result. The work is bounded.
 ///

@@ -248,8 +248,8 @@ impl ClosedLoop {
         self.step_with(sp, 0.0, |_| 0.0)
     }
 
-    /// One scan with the set point `sp`, an addition to PV (PV units), and an additional load at the process input until the next
-    /// scan (OP units), which may depend on the valve position: this allows a curved valve characteristic.
+    /// One scan with the set point `sp`, an addition to PV (PV units), and an additional load at the process input until the
+    /// next scan (OP units), which may depend on the valve position: this allows a curved valve characteristic.
     pub fn step_with(&mut self, sp: f64, on_pv: f64, more_load: impl FnOnce(f64) -> f64) -> Scan {
         let model = &self.model;
         let input = self.stem.flow - model.rest_op + self.held_load;

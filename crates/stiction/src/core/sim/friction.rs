@@ -155,8 +155,8 @@ impl Friction {
         sum * dt
     }
 
-    /// Stick band and slip jump `(s, j)` as a bench test would measure them: OP ramps up slowly until the stem has made a step (or
-    /// slides), reverses, and travels `s` until the stem moves back; the stem then catches up by `j`.
+    /// Stick band and slip jump `(s, j)` as a bench test would measure them: OP ramps up slowly until the stem has made a step
+    /// (or slides), reverses, and travels `s` until the stem moves back; the stem then catches up by `j`.
     #[must_use]
     pub fn measure(&self) -> (f64, f64) {
         let dt = 1.0 / SUB_STEPS as f64;

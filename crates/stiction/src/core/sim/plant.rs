@@ -234,8 +234,8 @@ impl Scenario {
         })
     }
 
-    /// One loop's recording without losses and delays (but quantised) as a [`Record`] with set point and valve position; `None` if
-    /// there is no such loop.
+    /// One loop's recording without losses and delays (but quantised) as a [`Record`] with set point and valve position; `None`
+    /// if there is no such loop.
     #[must_use]
     pub fn record(&self, loop_index: usize) -> Option<Record> {
         let mut plant_loop = PlantLoop::new(self.loops.get(loop_index)?, self);

@@ -1,8 +1,8 @@
 //! A valve signal as a list of steps, computed without visiting every sample.
 //!
 //! Between two slips the stem rests, so its signal is a staircase: some hundred steps represent thousands of samples, and
-//! [`crate::core::ident`] computes a free run from them in time proportional to their number. A sliding stem makes a step at every
-//! sample on which it moves.
+//! [`crate::core::ident`] computes a free run from them in time proportional to their number. A sliding stem makes a step at
+//! every sample on which it moves.
 
 use super::slips::{FirstSlip, Law, Stem, Stroke};
 

@@ -454,7 +454,7 @@ pub struct Assessment {
 }
 
 impl Assessment {
-    /// The valve and process that were fitted; `None` where nothing was, or the numbers are not given.
+    /// The fitted valve and process; `None` if nothing was fitted, or the numbers are not reported.
     #[must_use]
     pub fn model(&self) -> Option<Model> {
         let (fs, fd, process) = (self.fs?, self.fd?, self.process.as_ref()?);

@@ -55,7 +55,7 @@ pub fn beside_cause(a: &Assessment, cause: Verdict) -> String {
     format!("{}{why}; {rest}", verdict(cause))
 }
 
-/// What was not found, with the detection limit.
+/// The negative finding, with the detection limit.
 #[must_use]
 fn not_seen(a: &Assessment) -> String {
     match a.s_detectable {

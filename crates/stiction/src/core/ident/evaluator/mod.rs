@@ -4,7 +4,7 @@
 //! a ramp and one or two decays. Products of such columns with each other follow from sums over the valve's steps; products
 //! with PV come from tables of PV's own sums, made once per time constant. [`View`] holds PV, the filter of the error and those
 //! tables; [`reduce`] walks over the steps; [`Reduced`] gives the error for every dead time within a sample, gain and kinetic
-//! band. The plain pass over samples, `super::fit`, computes the same, and tests compare the two.
+//! band. Tests compare this error with a plain pass over samples.
 
 mod gathered;
 mod held;

@@ -90,7 +90,8 @@ pub struct OrderChart {
 }
 
 impl<'a> FitPlots<'a> {
-    /// Refits `model` to its record; `options` are those of the estimate. `None` if a signal is constant or the stem never slips.
+    /// Refits `model` to its record; `options` are those of the estimate. `None` if a signal is constant or the stem never
+    /// slips.
     #[must_use]
     pub fn new(record: &'a Record, options: &Options, model: &Model) -> Option<Self> {
         let (s, j) = (model.fs + model.fd, model.fs - model.fd);
