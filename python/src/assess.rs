@@ -21,7 +21,7 @@ use stiction_engine::analysis::plant::{OfPlant, judge_together};
 use stiction_engine::analysis::solver::{self, SolverDocument};
 use stiction_engine::analysis::{self, Answer, Cut, Estimated, Points, Scored, Section, text};
 
-/// An estimate's document, and what it says in words; both JSON.
+/// An estimate's document, and its texts; both JSON.
 pub type Told = (String, String);
 
 /// Options for every loop.
@@ -62,7 +62,7 @@ fn settings(look: &Look, fit: &Fit, score: Option<&str>) -> PyResult<Settings> {
     Ok(Settings { section, cut, solver: fit.solver()?, score })
 }
 
-/// A loop's answer and what belongs to it.
+/// A loop's answer and its data.
 struct One {
     answer: Answer,
     record: Record,
@@ -97,7 +97,7 @@ fn one(
     Ok(One { answer, record: found.record, notes })
 }
 
-/// What an answer says in words, JSON.
+/// The texts of an answer, JSON.
 pub fn said(answer: &Answer, notes: &[String]) -> String {
     let a = &answer.document.assessment;
     let said = json!({
@@ -118,7 +118,7 @@ fn solved(asked: FitOverrides, found: &Estimated) -> Option<SolverDocument> {
     Some(solver::document(name, &solved, &mut surface, &asked.settings, &found.assessment, own, elapsed_ms))
 }
 
-/// The loops of a table and what they are asked. Loop `k` has the rows `ends[k - 1]` to `ends[k]`.
+/// The loops of a table and their options. Loop `k` has the rows `ends[k - 1]` to `ends[k]`.
 #[derive(FromPyObject)]
 pub struct Many {
     #[pyo3(item)]
@@ -137,7 +137,7 @@ pub struct Many {
     progress: Option<Py<PyAny>>,
 }
 
-/// A document with its words, or the reason why there is none.
+/// A document with its texts, or the reason why there is none.
 type Reply = (Option<Told>, Option<String>);
 
 /// Assesses every loop on threads, then hands the answers to `finish`.
@@ -160,7 +160,7 @@ fn many<R: Send + 'static>(
             let from = at.checked_sub(1).map_or(0, |before| ends[before]);
             let samples = || enough(columns.samples(from, ends[at]));
             let answer = || one(&names[at], samples(), &settings, params[at].clone());
-            // One loop's fault is that loop's.
+            // A failure affects only its own loop.
             let answer = catch_unwind(AssertUnwindSafe(answer))
                 .unwrap_or_else(|_| Err(format!("{}: internal error in stiction; please report it", names[at])));
             if let Ok(mut place) = answers[at].lock() {

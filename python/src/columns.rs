@@ -122,7 +122,7 @@ impl Columns {
         rows.finish()
     }
 
-    /// All of them.
+    /// The samples of all rows.
     pub fn all(&self) -> Joined {
         self.samples(0, self.t_ns.len())
     }

@@ -56,7 +56,7 @@ impl FitOverrides {
     }
 }
 
-/// The sections to diagnose: several windows where they are given, else the one section.
+/// The sections to diagnose: several windows if given, else a single section.
 fn sections(section: Section, windows: &[(String, String)]) -> PyResult<Vec<Section>> {
     if windows.is_empty() {
         return Ok(vec![section]);
@@ -95,7 +95,7 @@ impl Executor for Threads<'_> {
     }
 }
 
-/// Document and words (JSON), and the columns t (ns), pv, base, after, held_out.
+/// Document and texts (JSON), and the columns t (ns), pv, base, after, held_out.
 type Told<'py> = (String, String, [Bound<'py, PyBytes>; 5]);
 
 /// One gap diagnosis.

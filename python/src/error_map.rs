@@ -13,7 +13,7 @@ use stiction::core::signal::stats;
 use stiction::core::sim::slips::Law;
 use stiction_engine::analysis::Points;
 
-/// The error over the plane of the bands for one order of the process, JSON; `step` is a share of OP's span.
+/// The error over the (fs, fd) plane for one order of the process, JSON; `step` is a fraction of OP's span.
 #[pyfunction]
 pub fn error_map(
     py: Python<'_>,

@@ -86,7 +86,7 @@ pub fn stamp(argument: &str, text: &str) -> PyResult<i64> {
 /// An additional solver.
 #[derive(Debug, Clone, Copy)]
 pub struct FitOverrides {
-    /// Which.
+    /// The solver.
     pub solver: SolverName,
     /// Most models, grid step, seed.
     pub settings: Settings,

@@ -30,7 +30,7 @@ pub struct Format {
     missing: Option<String>,
 }
 
-/// A loop: name, times (ns since 1970), numbers of op, pv, sp and mv, and words of mode; NaN and None where there is none.
+/// A loop: name, times (ns since 1970), numbers of op, pv, sp and mv, and words of mode; NaN and None if missing.
 type Loop<'py> = (String, Bound<'py, PyBytes>, [Bound<'py, PyBytes>; 4], Vec<Option<String>>);
 
 fn parsed<T, E: core::fmt::Display>(

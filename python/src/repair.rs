@@ -23,7 +23,7 @@ pub fn repair(py: Python<'_>, name: &str, columns: Handed, look: Look, fit: Fit)
         let points = Points::of(&name, &samples, &config());
         let most = points.settings.window.max_points;
         let (record, ..) = cut.record(&points, section, most).map_err(|e| e.to_string())?;
-        // The loop that is simulated is the one that this very record tells, however long it is.
+        // Identify the simulated loop from the whole record, however long it is.
         let found = assess(&record, &AssessParams { always_fit: true, ..params });
         let bought = simulated(&record, &found, &told).map_err(|e| format!("{name}: {e}"))?;
         serde_json::to_string(&bought).map_err(|e| e.to_string())

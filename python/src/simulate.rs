@@ -35,7 +35,7 @@ fn toml_of(json: &str) -> PyResult<String> {
 }
 
 fn columns<'py>(py: Python<'py>, name: String, truth: String, record: &Record) -> Loop<'py> {
-    // Scans stand a whole number of ns apart, as they do in a recording.
+    // Scans are a whole number of ns apart, as in a recording.
     let step_ns = ns_from_s(record.ts_s);
     let stamp = |scan: usize| record.start_ns + i64::try_from(scan).unwrap_or(i64::MAX).saturating_mul(step_ns);
     let column = |values: Option<&Vec<f64>>| bytes_of(py, values.into_iter().flatten().copied());

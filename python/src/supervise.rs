@@ -55,7 +55,7 @@ pub fn supervised<R: Send + 'static>(
     let (send, answers) = sync_channel(1);
     let theirs = Arc::clone(&watch);
     std::thread::spawn(move || {
-        // Nobody listens any more after an interruption.
+        // After an interruption there is no receiver.
         let _ = send.send(work(&theirs));
     });
     let answers = Mutex::new(answers);

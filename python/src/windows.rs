@@ -20,7 +20,7 @@ use stiction_engine::engine::{Request, WindowAnswer};
 /// Windows waiting for a fit, per thread; their data are freed after it.
 const WAITING: usize = 8;
 
-/// Which windows.
+/// The requested windows.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Watched {
@@ -102,7 +102,7 @@ pub fn assess_windows(
     supervised(py, progress.as_ref(), work)?.map_err(StictionError::new_err)
 }
 
-/// A window's document, and its words.
+/// A window's document, and its texts.
 fn one(name: &str, hash: &str, request: &Request, notes: &[String]) -> Result<Told, String> {
     let WindowAnswer { record, assessment, .. } = request.compute();
     let answer = Answer {

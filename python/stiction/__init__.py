@@ -368,8 +368,8 @@ def assess_plant(
 ) -> Plant:
     """Assess the loops of one plant together, as `stictiond analyze --plant` does.
 
-    Arguments as for `assess_many`. Finds loops that share one oscillation, and which of them makes it. A follower's
-    estimate has the group's probability; `to_dict()["group"]` keeps its own beside it.
+    Arguments as for `assess_many`. Finds loops that share one oscillation, and which of them causes it. A follower's
+    estimate has the group's probability; `to_dict()["group"]` also has the separate one.
 
     Raises StictionError for unusable input.
 
@@ -544,7 +544,7 @@ def diagnose(
     without: effects to exclude. pairs: also search pairs of effects when one explains the record. budget_s: time for the
     search, s [about 5 on two cores]; a search that runs out of time is not repeatable. progress: called with (models
     tried, most models) in the calling thread; an exception in it, or Ctrl-C, stops the search. windows: two or more
-    pairs (from, to) of times; each window is diagnosed by itself, and the cause is decided from all, as `--pool` does.
+    pairs (from, to) of times; each window is diagnosed separately, and the cause is decided from all, as with `--pool`.
     """
     name, columns = _tables.record(name, op, pv, ts_s, t, sp, mv, mode)
     look = _arrays.look(samples, window, downsample, downsample_like_toolbox, detrend)

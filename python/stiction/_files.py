@@ -32,8 +32,8 @@ def read(
     paths: files, folders or patterns such as "exports/*.csv": every format of `stictiond analyze`.
     The other arguments are the options of the command line for what a file does not show, such as tz="Europe/Berlin".
 
-    The table has a row per time of a loop: `loop`, `t` (UTC), `op`, `pv`, and `sp`, `mv` and `mode` where there are any. What
-    the program would warn of becomes a Python warning. Raises StictionError if nothing can be read.
+    The table has a row per time of a loop: `loop`, `t` (UTC), `op`, `pv`, and `sp`, `mv` and `mode` if present. Warnings of
+    the program become Python warnings. Raises StictionError if nothing can be read.
     """
     options = {
         "map": map, "tz": tz, "time_format": time_format, "decimal": decimal,

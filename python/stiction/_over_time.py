@@ -50,7 +50,7 @@ class Change(TypedDict):
 
 
 class Contradicting(TypedDict):
-    """A window that contradicts its stretch."""
+    """A window that contradicts the others of its segment."""
 
     end_ns: int
     s: float | None
@@ -68,7 +68,7 @@ class Trend(TypedDict):
 
 
 class OverTime(dict[str, Any]):
-    """The combined result of many windows of one valve: a dict, and the windows that it was made from."""
+    """The combined result of many windows of one valve: a dict, and the windows that it was computed from."""
 
     def __init__(self, document: Mapping[str, Any], windows: list[dict[str, Any]]) -> None:
         super().__init__(document)

@@ -35,7 +35,7 @@ R = TypeVar("R")
 
 
 def _styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Draws with the page's style and leaves the caller's own as it is."""
+    """Draws with the page's style and leaves the caller's style unchanged."""
 
     @wraps(draw)
     def styled(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -83,7 +83,7 @@ def _record_of(found: Assessment, table: Any) -> Record:
 
 
 def _last(found: Assessment, periods: float | None) -> np.datetime64:
-    """Start of what is shown."""
+    """Start of the displayed range."""
     start, end = found.window
     if periods is None or found.period_s is None or not found.oscillating:
         return start
@@ -92,9 +92,9 @@ def _last(found: Assessment, periods: float | None) -> np.datetime64:
 
 
 def _free_run(found: Assessment, record: Record) -> tuple[NDArray[np.datetime64], NDArray[np.float64]] | None:
-    """PV as the fitted model gives it from OP alone; None without a model.
+    """PV simulated by the fitted model from OP alone; None without a model.
 
-    `diagnose` refits the model, so its run is taken only if its error is that of the estimate.
+    `diagnose` refits the model, so its run is used only if its error equals that of the estimate.
     """
     if found.process is None:
         return None
@@ -122,7 +122,7 @@ def _line(ax: Axes, clock: Clock, rows: _Rows, name: str, label: str, ink: str, 
 
 def _pv_axes(ax: Axes, clock: Clock, rows: _Rows, behind: bool = False) -> None:
     _line(ax, clock, rows, "sp", "SP", "sp", drawstyle="steps-post", ls=(0, (5, 4)), lw=1.0)
-    # A good model covers PV, unless PV is wider.
+    # A good model would cover PV, so draw PV wider.
     _line(ax, clock, rows, "pv", "PV", "pv", **({"lw": 3.2, "alpha": 0.45} if behind else {"lw": 1.4}))
     ax.set_ylabel("PV")
 
@@ -157,7 +157,7 @@ def _phase(ax: Axes, rows: _Rows, found: Assessment | None) -> None:
     """PV over OP within the window, and s as a length."""
     if "op" not in rows.signals or "pv" not in rows.signals:
         return
-    # OP holds between its samples, so rows of PV alone have the OP before them.
+    # OP holds between its samples, so rows with PV alone take the last OP.
     known = np.maximum.accumulate(np.where(np.isfinite(rows.signals["op"]), np.arange(len(rows.t)), -1))
     both = np.isfinite(rows.signals["pv"]) & (known >= 0)
     if found is not None:
@@ -182,19 +182,19 @@ def _bars(ax: Axes, rows: Iterable[tuple[str, float, str]]) -> None:
 
 
 def _say(ax: Axes, words: str) -> None:
-    """Words in place of a picture."""
+    """A text instead of a picture."""
     ax.set(xticks=[], yticks=[], xlabel="")
     ax.text(0.5, 0.5, words, transform=ax.transAxes, ha="center", color=INK["soft"])
 
 
 def _head(figure: Figure, words: str) -> None:
-    """The title of a figure, in lines that fit."""
+    """The title of a figure, wrapped to its width."""
     figure.suptitle(fill(words, 96), x=0.01, ha="left", fontsize=11, fontweight="bold")
 
 
 @_styled
 def indicators(found: Assessment, ax: Axes | None) -> Axes:
-    """What each indicator adds, the base and the sum, in log-odds."""
+    """Contributions of the indicators, with the base and the sum, in log-odds."""
     document = found.to_dict()
     known = [one for one in document["indicators"] if one["score"] is not None]
     ax = new_axes(ax, 5.6, 1.2 + 0.24 * (len(known) + 2))
@@ -264,7 +264,7 @@ def _map_of(found: Assessment, table: Any, order: int | None, step: float) -> di
 
 @_styled
 def error_map(found: Assessment, table: Any, order: int | None, step: float, ax: Axes | None) -> Axes:
-    """The error over the plane of the bands, with the suggested region and the answer."""
+    """The error over the (fs, fd) plane, with the suggested region and the estimate."""
     told = _map_of(found, table, order, step)
     ax = new_axes(ax, 6.4, 4.4)
     span, side = told["span"], told["step"]

@@ -32,7 +32,7 @@ def drawing() -> Any:
 
 
 class Record(NamedTuple):
-    """What a result was computed from, as the native module took it."""
+    """The data that a result was computed from, as passed to the native module."""
 
     name: str
     columns: dict[str, Any]

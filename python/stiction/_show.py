@@ -24,7 +24,7 @@ def needed(module: str, what: str, install: str) -> Any:
 
 
 def meter(progress: Any) -> Any:
-    """What is called with (done, most); True becomes a bar of tqdm."""
+    """The callback for (done, most); True gives a tqdm bar."""
     if progress is not True:
         return progress or None
     bar = needed("tqdm.auto", "progress=True", "tqdm").tqdm()

@@ -6,7 +6,7 @@ from typing import Any
 __version__: str
 
 class StictionError(ValueError):
-    """What was handed over cannot be used; the message says the remedy."""
+    """The input cannot be used; the message states the remedy."""
 
 def assess(
     name: str,

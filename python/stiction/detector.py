@@ -26,11 +26,11 @@ LEAST_SAMPLES = 30
 
 
 class StictionDetector(_Base):  # type: ignore[misc]
-    """Tells sticking valves from others, a loop a row.
+    """Tells sticking valves from others, one loop per row.
 
     X is one of:
     an array (loops, 2 n): a loop's n samples of OP, then its n samples of PV;
-    an array (loops, channels, n), as sktime and aeon have it: OP, PV and, if there is a third channel, SP;
+    an array (loops, channels, n), as in sktime and aeon: OP, PV and, if there is a third channel, SP;
     a list of tables, one per loop, with columns `op`, `pv` and, optionally, `sp`; times from `t` or a DatetimeIndex.
     NaN is a missing value; rows of different length are filled with NaN at their end.
 
@@ -140,7 +140,7 @@ class StictionDetector(_Base):  # type: ignore[misc]
             return [_trimmed(dict(zip(("op", "pv", "sp"), loop))) for loop in array]
         if array.ndim != 2:
             raise _arrays.refused("X", f"{array.ndim} dimensions; give (loops, 2 n) or (loops, channels, n)")
-        # Too narrow for an estimate: there is no answer, however the columns are split.
+        # Too narrow for an estimate, so there is no answer however the columns are split.
         half, odd = divmod(array.shape[1], 2)
         if odd and half >= LEAST_SAMPLES:
             raise _arrays.refused("X", f"{array.shape[1]} columns; give the samples of OP, then as many of PV")

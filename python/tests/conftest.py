@@ -56,13 +56,13 @@ def columns(path: Path) -> dict[str, Any]:
 
 
 def same(found: stiction.Assessment, told: dict[str, Any]) -> None:
-    """Whether a result is the command's document, to the bit."""
+    """Checks that a result equals the command's document, bit for bit."""
     hint = f"; if only last digits differ, {BINARY} is of another build than the wheel"
     assert timeless(found.to_dict()) == timeless(told), found.loop + hint
 
 
 def timeless(document: dict[str, Any]) -> str:
-    """A document without what depends on the clock, as text, so that numbers are compared to the last bit."""
+    """A document without its times, as text, so that numbers are compared to the last bit."""
     document["elapsed_ms"] = None
     if document.get("solver"):
         document["solver"]["elapsed_ms"] = None

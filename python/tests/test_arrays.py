@@ -1,4 +1,4 @@
-"""What may be handed in, and what is said of what may not."""
+"""Valid inputs, and the errors for invalid ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import stiction
 
 @pytest.fixture(scope="module")
 def short(sticking: stiction.Simulation) -> tuple[Any, Any]:
-    # Values that every type holds.
+    # Values that every type can hold.
     return np.round(sticking.op[:400]), np.round(4 * sticking.pv[:400])
 
 
@@ -71,7 +71,7 @@ def test_what_is_missing_is_missing_in_every_form(short: tuple[Any, Any]) -> Non
     for form in (nothing, masked, nullable, pa.array(nothing), pd.Series(holed), np.array(nothing, dtype=object),
                  pd.Series(nothing, dtype="Float64").astype("Int64")):  # fmt: skip
         assert numbers(quick(op, form, 1.0)) == expected, type(form)
-    # Nothing at all of a set point is no set point.
+    # A set point without any value counts as absent.
     assert numbers(quick(op, holed, 1.0, sp=np.full(len(op), np.nan))) == expected
 
 

@@ -1,4 +1,4 @@
-"""The same numbers as the command line, to the bit."""
+"""The same numbers as the command line, bit for bit."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_missing_values_and_fractions_of_a_second(
     told = json.loads(command("analyze", path, "--format", "json"))
     found = stiction.assess(sticking.op, pv, t=t, sp=sp, name="FIC7")
     same(found, told)
-    # Without OP and PV in one row, and newest first.
+    # OP and PV in separate rows, and newest first.
     path = tmp_path / "FIC8.csv"
     rows = pd.DataFrame({"t": t, "op": sticking.op, "pv": sticking.pv})
     apart = pd.concat([rows.assign(pv=np.nan), rows.assign(op=np.nan)]).sort_values("t", kind="stable", ascending=False)

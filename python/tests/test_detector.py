@@ -40,7 +40,7 @@ def test_the_checks_of_scikit_learn_hold() -> None:
         warnings.simplefilter("ignore")
         done = check_estimator(StictionDetector(), on_fail=None)
     other = {one["check_name"]: one["exception"] for one in done if one["status"] != "passed"}
-    # It wants another array library; the detector takes what numpy can read.
+    # This check needs another array library; the detector takes anything that numpy can read.
     other.pop("check_array_api_input", None)
     assert len(done) > 35 and not other, other
 
@@ -54,7 +54,7 @@ def test_it_predicts_what_assess_says(loops: tuple[Any, Any]) -> None:
     assert p[0, 1] == one.p_calibrated and p[0].sum() == 1 and np.isnan(p[3]).all()
     assert detector.score(rows, truth) == 0.75 and detector.score(rows[:3], truth[:3] > 0) == 1.0
     assert detector.score(rows, truth, sample_weight=[1, 1, 1, 0]) == 1.0
-    # No row depends on another one, nor on the order.
+    # Rows depend neither on each other nor on their order.
     assert np.array_equal(detector.predict_proba(rows[::-1])[::-1], p, equal_nan=True)
     assert np.array_equal(np.concatenate([detector.predict_proba(rows[at : at + 1]) for at in range(4)]), p, equal_nan=True)
 

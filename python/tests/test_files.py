@@ -22,7 +22,7 @@ def test_an_export_gives_what_the_command_says(command: Command) -> None:
     table = stiction.read(export, tz="Europe/Berlin")
     assert list(table.columns)[:4] == ["loop", "t", "op", "pv"] and str(table["t"].dt.tz) == "UTC"
     found = stiction.assess(table, model="fopdt", valve="tracking", delay=6)
-    # A table has no place for the unit of its heading.
+    # A table cannot keep the unit from its heading.
     told = json.loads(command("analyze", export, "--tz", "Europe/Berlin", *FAST))
     same(found, {**told, "op_unit": found.to_dict()["op_unit"]})
 
@@ -33,7 +33,7 @@ def test_a_loop_of_a_recording_gives_what_the_command_says(command: Command) -> 
     assert list(dict.fromkeys(table["loop"])) == ["FIC201", "LIC202", "PIC203", "TIC204"]
     assert "sp" in table.columns and "mode" not in table.columns
     found = stiction.assess(table, name="LIC202", model="fopdt", valve="tracking", delay=6)
-    # The command takes the recording's own configuration, which changes nothing here but its hash.
+    # The command uses the recording's configuration, which here changes only the hash.
     told = json.loads(command("analyze", recording, "--loop", "LIC202", *FAST))
     same(found, {**told, "config_hash": found.to_dict()["config_hash"]})
 

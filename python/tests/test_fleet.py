@@ -46,7 +46,7 @@ def cluster() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def results(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the pool made of the data."""
+    """The pool's results for the data."""
     folder = tmp_path_factory.mktemp("results")
     assert states(pool_fleet.run(data, folder, 2, **SETTINGS)) == dict.fromkeys(MONTHS, "done")
     return folder
@@ -57,7 +57,7 @@ def states(said: Any) -> Run:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file by its name, but what a worker that is killed while it writes leaves behind: the next run clears it."""
+    """Every file by name, except partial files of killed workers, which the next run clears."""
     files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".part")
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
@@ -102,7 +102,7 @@ def test_rows_are_the_documents_of_replay(command: Command, results: Path, tmp_p
 
 
 def typed(program: str, places: dict[str, object]) -> list[str]:
-    """The line of the fleet's page that calls a program; `places` has what stands in place of what."""
+    """The line of the fleet's page that calls a program; `places` has the replacements."""
     page = (ROOT / "examples" / "fleet" / "README.md").read_text()
     (line,) = (line for line in page.splitlines() if line.startswith(f"python examples/fleet/{program} "))
     words = line.split()[1:]

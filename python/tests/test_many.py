@@ -124,7 +124,7 @@ def test_other_threads_of_python_go_on(frame: pd.DataFrame) -> None:
     finally:
         stop.set()
         counter.join()
-    # A lock held would leave a handful; a busy machine still lets some through.
+    # With the lock held there would be a handful; a busy machine still allows some.
     assert made > 20 * elapsed, f"{made} in {elapsed:.2f} s"
 
 
@@ -146,7 +146,7 @@ def test_several_threads_of_python_at_once(frame: pd.DataFrame, expected: list[A
 def test_ctrl_c_ends_it_within_ten_seconds_of_the_last() -> None:
     program = (
         "import signal, sys, numpy as np, stiction\n"
-        # What a shell starts in the background ignores Ctrl-C from birth, and Python then leaves it so.
+        # Background processes of a shell ignore Ctrl-C from the start, and Python leaves it so.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "x = np.arange(2_000) % 97\n"
         "table = {'loop': np.repeat(np.arange(400), 2_000), 't': np.tile(np.arange(2_000), 400),\n"

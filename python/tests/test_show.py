@@ -83,7 +83,7 @@ def test_frames_have_numbers_times_and_missing_values(
     frame = many.to_frame()
     assert list(frame["loop"]) == [NASTY, "calm", "empty"] and frame["error"].notna().tolist() == [False, False, True]
     assert frame["s"].dtype == "float64" and frame["stiction"].dtype == "boolean" and str(frame["end"].dtype) == "datetime64[ns]"
-    # A column keeps its kind where no loop has a value.
+    # A column keeps its type even if no loop has a value.
     assert stiction.Results([many[2]]).to_frame()["s"].dtype == "float64" and np.isnat(stiction.Results([many[2]]).to_frame()["end"][0].to_numpy())
     effects, samples = gap.to_frame(), gap.predictions.to_frame()
     assert effects.index[0] == gap.effects[0].id and effects["closed_low"].dtype == "float64"
@@ -142,7 +142,7 @@ def test_the_picture_of_an_assessment(found: stiction.Assessment, sticking: stic
     assert {"SP", "PV", "free run of the model"} <= set(drawn)
     shown = drawn["PV"].get_ydata()
     assert abs(len(shown) - 8 * found.period_s) < 3 and np.array_equal(shown, sticking.pv[-len(shown) :])
-    # The free run is the model's: it follows PV as well as the fit says.
+    # The free run is that of the model: it follows PV as well as the fit states.
     whole = lines(found.plot_trend(periods=None))
     run, pv_all = whole["free run of the model"], whole["PV"]
     assert np.array_equal(pv_all.get_ydata(), sticking.pv)
@@ -151,7 +151,7 @@ def test_the_picture_of_an_assessment(found: stiction.Assessment, sticking: stic
     error = (run.get_ydata() - sticking.pv)[known]
     assert found.process is not None and np.isclose(np.mean(error**2), found.process.mse, rtol=0.1)
     assert np.mean(known) > 0.9
-    # Another model's run is not drawn in its place.
+    # The run of a different model is not drawn instead.
     other = stiction.assess(sticking.op, sticking.pv, 1.0, **QUICK)
     assert other.process is not None and other.process.mse > 10 * found.process.mse
     assert "free run of the model" not in lines(other.plot_trend())

@@ -48,7 +48,7 @@ def test_segments_are_those_of_the_windows(table: pd.DataFrame) -> None:
     assert {0, 1} <= set(segments["labels"]) and (np.diff(segments["labels"]) != 0).all()
     for segment, label in zip(segments["ilocs"], segments["labels"]):
         assert (labels[segment.left : segment.right] == label).all()
-    # The valve sticks in the first half only; a window that still holds part of it may say so.
+    # The valve sticks in the first half only; a window that still contains part of it may find stiction.
     assert (labels[400:1800] == 1).all() and (labels[3000:3600] == 0).all()
 
 

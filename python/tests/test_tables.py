@@ -41,7 +41,7 @@ def test_times_are_read_from_the_index(frame: Any, expected: dict[str, Any]) -> 
     for one in (frame, zoned):
         assert numbers(quick(one["op"], one["pv"], sp=one["sp"])) == expected
         assert numbers(quick(one)) == expected
-    # Plain arrays beside a Series share its times, and a given time beats the index.
+    # Plain arrays next to a Series share its times, and an explicit time takes precedence over the index.
     assert numbers(quick(frame["op"], frame["pv"].to_numpy(), sp=frame["sp"])) == expected
     faster = quick(frame["op"], frame["pv"], 1.0)
     assert faster.period_s != expected["oscillation"]["period_s"] and str(faster.window[0]).startswith("1970")

@@ -1,4 +1,4 @@
-"""Windows of a long record, many windows together, repairs: as the command line and the running daemon tell them."""
+"""Windows of a long record, many windows together, repairs: as from the command line and the running daemon."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import stiction
 
 
 def estimates(text: str, loop: str) -> list[str]:
-    """The documents of a loop's windows among those that were printed, as they were printed."""
+    """The documents of a loop's windows in the printed output, unchanged."""
     read = ((line, json.loads(line)) for line in text.splitlines())
     return [line for line, d in read if d["schema"] == "stictiond.estimate.v1" and d["loop"] == loop]
 
@@ -109,15 +109,15 @@ def free_port() -> int:
 
 
 PREFIX = "wheel"
-# The page runs a repair on what is held when it is asked: without lateness, and with samples up to the end of a window
-# alone, that is the window.
+# The page simulates a repair from the samples held at the time. Without lateness, and with samples only up to the end of a
+# window, these are the window.
 ROWS = 1801
 SETTINGS = '[window]\nhop_s = 300.0\nlateness_s = 0.0\n[gap]\nenabled = false\n[[loop]]\nname = "FIC101"\nop_range = [0, 100]\n'
 
 
 @pytest.fixture(scope="module")
 def daemon(tables: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Where the API of a daemon is that has heard a whole loop."""
+    """Address of the API of a daemon that has received a whole loop."""
     folder, bus, web = tmp_path_factory.mktemp("daemon"), f"tcp/127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
     config = folder / "monitor.toml"
     config.write_text(

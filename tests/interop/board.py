@@ -1,4 +1,4 @@
-"""The shipped Grafana board by Grafana's own schema, as its foundation SDK has it."""
+"""The shipped Grafana board, checked with Grafana's schema from its foundation SDK."""
 
 import enum
 import json
@@ -11,7 +11,7 @@ BOARD = ROOT / "config" / "grafana.json"
 
 
 def leaves(given, read, where="board"):
-    """Places where what was read is not what was given: the schema does not have them."""
+    """Places where reading changed the input, as they are not in the schema."""
     if isinstance(given, dict) and isinstance(read, dict):
         for name, value in given.items():
             if name in read:
@@ -26,7 +26,7 @@ def leaves(given, read, where="board"):
 
 
 def fits(value, hint):
-    """Whether a value is of a type of the schema. The SDK leaves words of enumerations and some objects as they are."""
+    """Whether a value is of a type of the schema. The SDK does not convert words of enumerations and some objects."""
     if hint is typing.Any or isinstance(hint, typing.TypeVar):
         return True
     kind, parts = typing.get_origin(hint), typing.get_args(hint)
@@ -59,7 +59,7 @@ def misfits(thing, where="board"):
 
 
 def faults(board):
-    """What Grafana's schema does not allow or does not have."""
+    """Parts that Grafana's schema does not allow or does not contain."""
     from grafana_foundation_sdk.cog.encoder import JSONEncoder
     from grafana_foundation_sdk.models.dashboard import Dashboard
 
@@ -82,7 +82,7 @@ def test_the_board_fits_grafanas_schema(_):
         return faults(board)
 
     series = next(at for at, panel in enumerate(json.loads(BOARD.read_text())["panels"]) if panel["type"] == "timeseries")
-    # A field that Grafana does not have, a word for a number, one of another list of words.
+    # A field unknown to Grafana, a word instead of a number, a word from a different enumeration.
     assert broken(lambda board: board["panels"][series].update(legnd={})) == [f"board.panels[{series}].legnd"]
     assert broken(lambda board: board["panels"][0]["gridPos"].update(h="four"))
     assert broken(lambda board: board["templating"]["list"][0].update(type="anything"))

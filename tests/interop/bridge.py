@@ -42,7 +42,7 @@ class Broker:
         self.start()
 
     def certificates(self):
-        """An authority, and a certificate of localhost by it: no authority may be a server itself."""
+        """An authority and a certificate for localhost, since an authority may not be a server itself."""
         ca, ca_key, certificate, key = (self.folder / name for name in ("ca.pem", "ca.key", "broker.pem", "broker.key"))
         new_key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
         extra = self.folder / "broker.ext"
@@ -116,7 +116,7 @@ def recorded(folder):
 
 def send(client, broker, bridges, new_bridge, sent):
     """Samples of LOOPS loops, two in a payload, while the broker restarts three times and the bridge is killed once;
-    gives the number of messages."""
+    returns the number of messages."""
     started, tick = time.monotonic(), 0
     restarts = [SECONDS * share for share in (0.2, 0.45, 0.7)]
     killed = False

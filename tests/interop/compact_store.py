@@ -1,4 +1,4 @@
-"""Compact stores seen from outside: scipy reads what stictiond writes, stictiond reads what scipy and MATLAB write."""
+"""Compact stores: scipy reads those of stictiond, and stictiond reads those of scipy and MATLAB."""
 
 import csv
 import json
@@ -86,7 +86,7 @@ def test_what_scipy_writes_is_read(folder):
 
 
 class BigEndian:
-    """A writer of version 5 with the greatest byte first, as on a SPARC; numbers in the least type, as MATLAB does."""
+    """A big-endian writer of version 5, as on a SPARC; numbers in the smallest type, as in MATLAB."""
 
     @staticmethod
     def element(kind, data):

@@ -1,4 +1,4 @@
-"""Runs the program under test, and helpers to look at it from outside."""
+"""Runs the program under test, with helpers to observe it from outside."""
 
 import json
 import os
@@ -27,7 +27,7 @@ def free_port():
 
 
 def eventually(what, check, within=60.0):
-    """Waits until `check` gives something true, and gives it back."""
+    """Waits until `check` gives a true value, and returns it."""
     until = time.monotonic() + within
     while True:
         result = check()
@@ -39,7 +39,7 @@ def eventually(what, check, within=60.0):
 
 
 def typed(start, places):
-    """The command of docs/connect.md that begins so, without the program; `places` has what a reader puts in place of what."""
+    """The command of docs/connect.md with this start, without the program; `places` has the reader's replacements."""
     text = re.sub(r"\\\n\s*", "", (ROOT / "docs" / "connect.md").read_text())
     (line,) = (line.strip() for line in text.splitlines() if line.strip().startswith(start))
     words = shlex.split(line)[1:]
@@ -59,7 +59,7 @@ def session(mode, connect=(), listen=()):
 
 
 def close_sessions():
-    """Closes what a test left open: an open session would keep Python from ending."""
+    """Closes sessions that a test left open, which would keep Python from exiting."""
     while SESSIONS:
         bus = SESSIONS.pop()
         if not bus.is_closed():
@@ -67,7 +67,7 @@ def close_sessions():
 
 
 class Daemon:
-    """`stictiond run` with a configuration of its own, ended in order at the end of a `with`."""
+    """`stictiond run` with a separate configuration, stopped in order at the end of a `with`."""
 
     def __init__(self, folder, prefix, zenoh_table, more=""):
         self.prefix = prefix
@@ -114,18 +114,18 @@ class Daemon:
             return None
 
     def stop(self):
-        """SIGTERM: it ends in order."""
+        """Stops it in order, by SIGTERM."""
         self.process.send_signal(signal.SIGTERM)
         code = self.process.wait(timeout=60)
         assert code == 0, f"exit {code}\n" + "".join(self.log)
 
 
 def stictiond(*arguments, program=PROGRAM):
-    """Runs a command to its end: exit code, stdout, stderr."""
+    """Runs a command to the end; returns exit code, stdout, stderr."""
     done = subprocess.run([program, *map(str, arguments)], capture_output=True, text=True, cwd=ROOT, timeout=300)
     return done.returncode, done.stdout, done.stderr
 
 
 def stiction_lab(*arguments):
-    """The same of the laboratory's program."""
+    """The same for `stiction-lab`."""
     return stictiond(*arguments, program=PROGRAM.with_name("stiction-lab"))

@@ -1,4 +1,4 @@
-"""Documents against the schemas that the program prints, by a validator that it shares no code with."""
+"""Documents checked with the printed schemas, by a validator that shares no code with the program."""
 
 import copy
 import json
@@ -11,14 +11,14 @@ _validators = {}
 
 
 def parsed(text):
-    """JSON without the words NaN and Infinity, which are none."""
+    """JSON; the words NaN and Infinity are invalid."""
     def refuse(word):
         raise ValueError(f"{word} is no JSON")
     return json.loads(text, parse_constant=refuse)
 
 
 def faults(document):
-    """What a document lacks; its own field says which schema it follows."""
+    """Violations of the schema that the document names."""
     name = document["schema"]
     if name not in _validators:
         code, out, err = stictiond("schema", name)
@@ -50,7 +50,7 @@ def test_documents_fit_their_schemas(folder):
     assert len(documents) > 4, len(documents)
     for document in documents:
         check_document(document)
-        # The schemas can fail: nothing may be left out, and a number is no text.
+        # The schemas do detect violations: a missing field, and text instead of a number.
         for field in ("loop", "version", "window"):
             less = {k: v for k, v in document.items() if k != field}
             assert faults(less), f"{document['schema']} without {field} passes"

@@ -1,5 +1,5 @@
-"""`stictiond-bridge opcua` against asyncua: every value that the server made while there was a session is in the recording, and
-every stretch without one is in the figures."""
+"""`stictiond-bridge opcua` with asyncua: every value that the server wrote during a session is in the recording, and every
+time without a session is in the figures."""
 
 import json
 import os
@@ -47,7 +47,7 @@ class Server:
 
 
 class Wire:
-    """The network between bridge and server: it can be cut."""
+    """The network between bridge and server, which can be cut."""
 
     def __init__(self, port):
         self.to, self.open, self.is_cut = port, [], False
@@ -154,7 +154,7 @@ def called(*arguments):
 
 
 def discovered(folder, from_):
-    """The list of nodes and the loops as `discover` writes them, and what shall be refused besides."""
+    """The lists of nodes and loops from `discover`, with additional nodes that must be refused."""
     nodes, loops = folder / "nodes.txt", folder / "loops.toml"
     words = typed("stictiond-bridge discover", {"opc.tcp://plc:4840/ua": from_[1], "nodes.txt": nodes, "loops.toml": loops})
     code, out, err = called(*words, *from_[2:])
@@ -168,7 +168,7 @@ def discovered(folder, from_):
 
 
 def disturb(server, wire, bridges, new_bridge):
-    """Three restarts of the server, a cut of the network and a kill of the bridge; gives when the bridge was killed."""
+    """Three restarts of the server, a cut of the network and a kill of the bridge; returns the time of the kill."""
     killed_ns, steps = 0, ("stop", "cut", "kill the server", "kill the bridge", "stop")
     for step in steps:
         time.sleep(SECONDS / (len(steps) + 1))
@@ -192,7 +192,7 @@ def disturb(server, wire, bridges, new_bridge):
 
 
 def untrusted_first(folder, bridge):
-    """The server's certificate is refused until it is put where the log says."""
+    """The server's certificate is refused until it is copied to the place named in the log."""
     eventually("a refusal", lambda: bridge.said("certificate is not trusted"), 30)
     (refused,) = (folder / "trusted" / "rejected").glob("*.der")
     assert f"move {refused} into {folder / 'trusted'}" in bridge.log.read_text()
@@ -211,7 +211,7 @@ def can_be_tried():
 
 
 class Plant:
-    """A server, the wire to it, and how a bridge reaches it."""
+    """A server, the network to it, and the arguments of a bridge."""
 
     def __init__(self, folder):
         self.folder, self.server = folder, Server(folder)
@@ -225,7 +225,7 @@ class Plant:
         self.secret = [*self.open, "--cert-file", folder / "own.pem", "--key-file", folder / "own.key"]
 
     def bridge(self, secret):
-        """As docs/connect.md starts it, or without certificates."""
+        """A bridge as started in docs/connect.md, or without certificates."""
         nodes = self.folder / "nodes.txt"
         if not secret:
             return Bridge(self.folder, [
@@ -259,9 +259,9 @@ def test_the_opcua_bridge_accounts_for_every_value(folder):
             time.sleep(2)
             counters = daemon.healthz()["counters"]
             daemon.stop()
-        # A killed bridge cannot tell what it had not got yet: a publishing interval, and what was on its way.
+        # A killed bridge cannot report values it had not received yet: one publishing interval, and those in transit.
         killed = (killed_ns - int((1 + 2 * EVERY_S) * 1e9), figures["subscribed_ns"])
-        # Three restarts and the cut: the client cannot take up a session that is signed.
+        # Three restarts and the cut: the client cannot resume a signed session.
         assert before["outages"] >= 3 and figures["outages"] >= 1, (before, figures)
         check(folder, plant.server.written(), begun_ns, [before, figures], [killed], counters)
         print(f"  CPU of the second bridge {cpu_s:.1f} s")
@@ -304,7 +304,7 @@ def check(folder, written, begun_ns, all_figures, gaps, counters):
     for outage in (outage for figures in all_figures for outage in figures["outage_list"]):
         assert outage["end_ns"] > outage["start_ns"], outage
         if not outage["resumed"]:
-            # Of one before the first value all is known by its start.
+            # An outage before the first value is described by its start.
             gaps.append((outage["last_stamp_ns"] or outage["start_ns"], outage["end_ns"]))
     due = [value for value in written if value[2] > begun_ns and not any(a < value[2] < b for a, b in gaps)]
     missing = [value for value in due if tuple(value[:3]) not in found]
@@ -314,7 +314,7 @@ def check(folder, written, begun_ns, all_figures, gaps, counters):
     for figures in all_figures:
         print(f"  {figures}")
     assert not missing, f"{len(missing)} of {len(due)} are lost, such as {missing[:3]} beside {gaps}"
-    # Else there was hardly a session, and nothing was tried.
+    # Otherwise there was hardly a session, and nothing was tested.
     assert len(due) > 0.1 * len(written), (len(due), len(written), gaps)
     for loop, name, stamp, what in due:
         value, quality = found[loop, name, stamp]

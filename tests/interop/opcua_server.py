@@ -1,7 +1,7 @@
-"""An OPC UA server (asyncua) of some loops, run by opcua.py as a process of its own: it writes every value with the stamp of
-that moment and keeps a list of what it wrote. SIGUSR1 lets it write no more.
+"""An OPC UA server (asyncua) of some loops, run by opcua.py as a separate process: it writes every value with the
+current stamp and keeps a list of them. SIGUSR1 stops writing.
 
-Usage: opcua_server.py PORT LOOPS EVERY_S FOLDER, where FOLDER holds server.der and server.key and gets written.jsonl.
+Usage: opcua_server.py PORT LOOPS EVERY_S FOLDER, where FOLDER contains server.der and server.key and receives written.jsonl.
 """
 
 import asyncio
@@ -50,13 +50,13 @@ async def make(port, loops, folder):
 
 
 async def write(server, nodes, tick):
-    """One value of each node; gives (loop, signal, stamp, what)."""
+    """Writes one value of each node; returns (loop, signal, stamp, what)."""
     written = []
     for place, (name, end, nodeid, kind) in enumerate(nodes):
         t_us = time.time_ns() // 1000
         stamp = EPOCH + timedelta(microseconds=t_us)
         what = "bad" if place == 0 and tick % 5 == 0 else "uncertain" if place == 1 and tick % 7 == 0 else "good"
-        # Every other value stays: that it was looked at again is a sample, too.
+        # Every other value is unchanged: sampling it again counts as a sample too.
         value = ua.Variant(float(tick // 2 % 50), kind)
         code = {"bad": BAD, "uncertain": UNCERTAIN, "good": ua.StatusCodes.Good}[what]
         data = ua.DataValue(None if what == "bad" else value, ua.StatusCode(code), SourceTimestamp=stamp)

@@ -1,4 +1,4 @@
-"""Other people's tools: the layout for Foxglove and Lichtblick, results in pandas."""
+"""Third-party tools: the layout for Foxglove and Lichtblick, results in pandas."""
 
 import json
 import re
@@ -12,9 +12,9 @@ from daemon import ROOT, Daemon, free_port, stictiond
 
 RECORDING = ROOT / "recordings" / "four-loops.mcap"
 LAYOUT = ROOT / "config" / "foxglove-layout.json"
-# Panels that both programs have, and where their message paths stand.
+# Panels that both programs have.
 PANELS = {"Plot", "StateTransitions", "Table", "RawMessages", "RosOut"}
-# What the log panel, called RosOut in layouts, shows: only a daemon records it.
+# Topic of the log panel, called RosOut in layouts; only a daemon records it.
 LOG_TOPIC = "area2/@stiction/v1/@plant/log"
 
 
@@ -77,7 +77,7 @@ def test_the_foxglove_layout_finds_its_topics_in_a_recording(folder):
                 assert all(isinstance(row, dict) for rows in found for row in rows)
             checked += 1
     assert checked > 12, checked
-    # The way to another loop that the page shows leaves nothing behind.
+    # Replacing the loop as shown on the page leaves no reference to the old one.
     text = LAYOUT.read_text(encoding="utf-8").replace("area2", "plant1/area1").replace("FIC201", "FIC101")
     assert "area2" not in text and '\\"plant1/area1/@stiction/v1/FIC101/estimate\\".s"' in text
 
@@ -121,7 +121,7 @@ def test_results_come_into_pandas_from_recordings_and_live(folder):
                     break
                 time.sleep(0.5)
             samples = live.frames.samples
-        # Whoever comes later begins with the last answers.
+        # A late subscriber begins with the last answers.
         with Live(endpoint, "area2") as late:
             assert len(late.frames.estimates) == 4
         daemon.stop()

@@ -1,4 +1,4 @@
-"""A small plant of its own for the tests from outside: nothing of it comes from the program under test."""
+"""A small plant for the interoperability tests, independent of the program under test."""
 
 import math
 import random

@@ -1,4 +1,4 @@
-"""An alarm seen where operators look: a webhook, Prometheus with the shipped rules and board."""
+"""An alarm as operators see it: a webhook, Prometheus with the shipped rules and board."""
 
 import json
 import os
@@ -20,7 +20,7 @@ from documents import check_document
 from plant import Loop
 
 TOOLS = PROGRAM.parents[1] / "tools"
-# Debian's packages, with the libraries that a small machine lacks.
+# Debian's packages, with libraries that a minimal system lacks.
 MOSQUITTO = [
     "mosquitto", "mosquitto-clients", "libmosquitto1", "libcjson1", "libdlt2", "libwebsockets17", "libev4", "libwrap0",
     "libnsl2", "libtirpc3", "libuv1",
@@ -32,7 +32,7 @@ START_NS = 1_546_300_800 * 10**9
 
 
 def tool(name, packages):
-    """A program: the system's, or unpacked from Debian's packages below the target folder; None where neither can be had."""
+    """A program: the system's, or unpacked from Debian's packages below the target folder; None if neither is available."""
     def found():
         places = [shutil.which(name), *(TOOLS / place / name for place in ("usr/bin", "usr/sbin"))]
         return next((str(p) for p in places if p and Path(p).exists() and works(p)), None)
@@ -53,13 +53,13 @@ def tool(name, packages):
 
 
 def works(program):
-    """Whether it starts: an unpacked one may lack a library."""
+    """Whether it starts, since an unpacked one may lack a library."""
     done = subprocess.run([program, "--help"], capture_output=True, env=environment(), stdin=subprocess.DEVNULL)
     return done.returncode != 127
 
 
 def environment():
-    """Libraries that were unpacked too."""
+    """Environment with the unpacked libraries."""
     libraries = [str(p) for p in TOOLS.glob("usr/lib/*") if p.is_dir()]
     return {**os.environ, "LD_LIBRARY_PATH": ":".join(libraries)}
 
@@ -99,7 +99,7 @@ def raise_alarm(bus, seed):
     time.sleep(0.5)
 
     def sent_and_heard():
-        # Sent again, as what is put before the daemon's subscription is known here goes nowhere.
+        # Sent again, since samples sent before the daemon's subscription has propagated are lost.
         for name, values in (("op", loop.op), ("pv", loop.pv)):
             rows = [{"t": START_NS + k * 10**9, "v": v} for k, v in enumerate(values)]
             bus.put(f"{PREFIX}/FIC101/{name}", json.dumps(rows), encoding=zenoh.Encoding.APPLICATION_JSON)
@@ -127,7 +127,7 @@ def board_queries():
 
 
 def check_monitoring(daemon, folder, alarm):
-    # The age of a loop's data is first told by the health document, some seconds after the start.
+    # The age of a loop's data first appears with the health document, some seconds after the start.
     eventually("health in /metrics", lambda: "stictiond_loop_data_age_seconds{" in metrics_of(daemon)[0], 60)
     text, kind = metrics_of(daemon, "text/plain")
     assert kind.startswith("text/plain"), kind
@@ -135,7 +135,7 @@ def check_monitoring(daemon, folder, alarm):
     known = set(re.findall(r"^# TYPE (\S+) ", text, re.M))
     queries = board_queries()
     rules = "".join((ROOT / "config" / name).read_text() for name in RULES)
-    # Families without a sample are not told of.
+    # Families without a sample are not listed.
     unseen = {"stictiond_delivery_refused_total"}
     for name in set(re.findall(r"(?<![\w:])(?:stictiond|process)_[a-z_]+", " ".join(queries) + rules)):
         bare = re.sub(r"_bucket$", "", name)
@@ -190,13 +190,13 @@ def test_an_alarm_arrives_where_operators_look(folder):
 
 
 def shown_alarm():
-    """The document that docs/alarms.md shows."""
+    """The document shown in docs/alarms.md."""
     page = (ROOT / "docs" / "alarms.md").read_text()
     return json.loads(re.search(r"```alarm\n(.*?)```", page, re.S).group(1))
 
 
 def check_example(orders, alarm):
-    """The consumer of the docs wrote one order, of this alarm, although each post is sent twice."""
+    """The consumer in the docs wrote one order for this alarm, although each post is sent twice."""
     row = eventually("a work order", lambda: orders.exists() and orders.read_text().splitlines(), 60)
     assert len(row) == 1 and json.loads(row[0])["id"] == alarm["event_id"], row
     assert alarm["what_to_do"] in json.loads(row[0])["long"], row

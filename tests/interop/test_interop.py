@@ -1,6 +1,6 @@
-"""stictiond seen from outside, by Zenoh and MCAP libraries that it shares no code with.
+"""stictiond observed with Zenoh and MCAP libraries that share no code with it.
 
-Run by tests/interop/run.sh; the name of a test as an argument runs that one alone.
+Run by tests/interop/run.sh; with the name of a test as an argument it runs only that one.
 """
 
 import csv
@@ -205,7 +205,7 @@ def test_live_recorded_replayed(folder):
         heard = Heard(bus)
         time.sleep(0.5)
 
-        # One loop after the other, all from the same instant years ago, in every form there is.
+        # One loop after another, all from the same instant years ago, in every form.
         fic101 = [f"{PREFIX}/FIC101/{s}" for s in ("op", "sp", "mode", "pv")]
         interleaved(bus, fic101, [
             objects(sticking.op), objects([61.0] * SCANS), objects(["AUTO"] * SCANS), objects(sticking.pv),
@@ -217,10 +217,10 @@ def test_live_recorded_replayed(folder):
         interleaved(bus, [f"{PREFIX}/unit2/FIC201/{s}" for s in ("op", "pv")],
                     [batches(nested.op, 1), batches(nested.pv, 1)])
         interleaved(bus, [f"{PREFIX}/FIC105/{s}" for s in ("op", "pv")], [raw(raw_loop.op), raw(raw_loop.pv)], None)
-        # A history at one go: all of OP, then all of PV.
+        # A history all at once: all of OP, then all of PV.
         interleaved(bus, [f"{PREFIX}/FIC108/{s}" for s in ("op", "pv")],
                     [batches(history.op, SCANS), batches(history.pv, SCANS)])
-        # Every third value of PV is bad, and NaN besides: too many to judge.
+        # Every third value of PV is bad and NaN: too many to judge.
         bad = [
             (json.dumps({"t": START_NS + k * 10**9, "v": v if k % 3 else math.nan, "q": 0 if k % 3 else 0x80000000}), None)
             for k, v in enumerate(shaky.pv)
@@ -230,7 +230,7 @@ def test_live_recorded_replayed(folder):
 
         wanted = SCANS // HOP_S
         for loop in loops:
-            # The very first scan stands on a whole hop and makes a window of one sample.
+            # The first scan is on a whole hop, so it makes a window of one sample.
             eventually(f"{wanted + 1} estimates of {loop}", lambda l=loop: len(heard.estimates(l)) > wanted, 120)
         for loop in loops:
             for document in heard.estimates(loop):
@@ -248,7 +248,7 @@ def test_live_recorded_replayed(folder):
             assert last["verdict"] == "stiction" and last["stiction"] is True, (loop, last)
             near.append(abs(last["s"] - truth) < 0.25 * truth)
             assert 0 <= last["fd"] <= last["fs"] and last["stiction_index"] > 0.5
-        # One of four short windows may end in a wrong place of the search.
+        # In one of four short windows the search may end at a wrong optimum.
         assert sum(near) >= 3, near
         assert abs(heard.estimates("FIC101")[-1]["oscillation"]["period_s"] - 77) < 8
         assert heard.estimates("FIC101")[-1]["severity_by_range"] == "strong"
@@ -307,7 +307,7 @@ def test_live_recorded_replayed(folder):
         assert ask(bus, f"{PLANE}/FIC999/estimate") == ({}, [])
         assert ask(bus, f"{PREFIX}/**") == ({}, [])  # plant wildcards never meet the daemon's plane
 
-        # Schemas, as the program prints them.
+        # The schemas as printed by the program.
         good, bad = ask(bus, f"{PLANE}/@schema/*")
         names = stictiond("schema")[1].split()
         assert not bad and set(good) == {f"{PLANE}/@schema/{name}" for name in names}, (set(good), bad)
@@ -347,7 +347,7 @@ def test_live_recorded_replayed(folder):
 
 
 def check_recording(daemon, sticking, heard, alarms_heard):
-    # Beside the recordings stands the store of alarm states, and nothing else.
+    # The folder contains the recordings, the store of alarm states, and nothing else.
     files = sorted(f for f in daemon.recordings.iterdir() if f.name != "state.redb")
     assert files and all(f.suffix == ".mcap" and f.is_file() for f in files), files
     counts, op, estimates, alarms = Counter(), [], [], []
@@ -456,7 +456,7 @@ WHERE = {
 
 
 def test_the_gap_can_be_computed_from_the_predictions(folder):
-    # Without a lead on the cause: whatever is answered must follow from the rows.
+    # No particular cause is expected: whatever is answered must follow from the rows.
     plant = Loop(fs=4.0, fd=1.5, sine=1.0, seed=5).run(1000)
     table, rows_file = Path(folder) / "loop.csv", Path(folder) / "rows.csv"
     with table.open("w", newline="", encoding="utf-8") as file:
@@ -489,7 +489,7 @@ def test_the_gap_can_be_computed_from_the_predictions(folder):
     assert same(gap("pv_base"), document["gap"]["gap"])
     named = [e for e in document["effects"] if e["id"] == document["cause"]["id"]]
     if named:
-        # At the floor a gap is a small difference of two squares, and the rows are rounded.
+        # Near the floor a gap is a small difference of two squares, and the rows are rounded.
         assert math.isclose(gap("pv_after"), named[0]["gap_after"], rel_tol=1e-6, abs_tol=1e-6 * floor + 1e-6)
         if named[0]["closed_pct"] is not None:
             assert same(100 * (1 - gap("pv_after") / gap("pv_base")), named[0]["closed_pct"])

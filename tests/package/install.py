@@ -1,7 +1,7 @@
-"""Installs the package on a Debian root, runs it as its unit says, upgrades, removes and purges it.
+"""Installs the package in a Debian root, runs it as in its unit, upgrades, removes and purges it.
 
-Usage: install.py ROOT PACKAGE NEWER-PACKAGE, as root, in namespaces of its own for mounts, processes and the network.
-There is no systemd in the root: the unit's ExecStart is run here, as its user, with a socket for what it tells systemd.
+Usage: install.py ROOT PACKAGE NEWER-PACKAGE, as root, in separate namespaces for mounts, processes and the network.
+There is no systemd in the root: the unit's ExecStart is run here, as its user, with a socket for its notifications.
 """
 
 import fcntl
@@ -21,12 +21,12 @@ ROOT, FIRST, SECOND = (Path(p).resolve() for p in sys.argv[1:4])
 UNIT = ROOT / "usr/lib/systemd/system/stictiond.service"
 CONFIG = ROOT / "etc/stictiond/monitor.toml"
 STATE = ROOT / "var/lib/stictiond"
-# What dpkg, adduser and the loader's cache keep for themselves.
+# Records of dpkg, adduser and the loader's cache.
 RECORDS = ("var/lib/dpkg/", "var/log/", "var/cache/", "etc/passwd-", "etc/group-", "etc/shadow-", "etc/gshadow-")
 
 
 def inside(*command, check=True):
-    """A command in the root; its output, both channels."""
+    """Runs a command in the root; returns its output on both channels."""
     environment = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"}
     done = subprocess.run(
         ["chroot", ROOT, *command], env=environment, text=True, stdin=subprocess.DEVNULL,
@@ -46,7 +46,7 @@ def dpkg(action, what):
 
 
 def everything():
-    """Every path of the root with its mode and owner, but for those that others keep records in."""
+    """Every path of the root with its mode and owner, except those in `RECORDS`."""
     found = {}
     for folder, folders, files in os.walk(ROOT):
         if Path(folder) == ROOT:
@@ -75,13 +75,13 @@ def eventually(what, check, within):
 
 
 def unit():
-    """The unit's settings; of a key that comes several times the last."""
+    """The unit's settings; of a repeated key the last one."""
     lines = (line.partition("=") for line in UNIT.read_text().splitlines() if not line.startswith("#"))
     return {key: value for key, equals, value in lines if equals}
 
 
 class Service:
-    """The unit's ExecStart with what systemd would give it."""
+    """The unit's ExecStart, with the environment that systemd would provide."""
 
     def __init__(self, log):
         settings = unit()
@@ -91,7 +91,7 @@ class Service:
         self.path = ROOT / "run/told"
         self.path.unlink(missing_ok=True)
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        # A socket's path has 107 bytes at most, however deep the root lies.
+        # A socket's path may have at most 107 bytes, however deep the root is.
         folder = os.open(self.path.parent, os.O_RDONLY)
         self.socket.bind(f"/proc/self/fd/{folder}/{self.path.name}")
         os.close(folder)
@@ -100,7 +100,7 @@ class Service:
         user = settings["User"]
         rights = ["setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups", "--no-new-privs",
                   "--bounding-set=-all", "--inh-caps=-all"]
-        # The watchdog of a second in place of the unit's: how often it is fed follows from it.
+        # A watchdog of one second instead of the unit's, which determines how often it is fed.
         environment = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "NOTIFY_SOCKET": "/run/told", "WATCHDOG_USEC": "1000000"}
         start = f"cd {settings['WorkingDirectory']}; umask {settings['UMask']}; exec {settings['ExecStart']}"
         self.log = log
@@ -134,7 +134,7 @@ def healthy():
 
 
 def run_once(run_number):
-    """Start to stop, as systemd sees it; seconds that the stop took."""
+    """Runs from start to stop, as seen by systemd; returns the duration of the stop, s."""
     service = Service(ROOT.parent / f"run{run_number}.log")
     service.wait_for("READY=1")
     service.wait_for("WATCHDOG=1", times=3)
@@ -152,7 +152,7 @@ def run_once(run_number):
 
 
 def uid():
-    """The daemon's number in the root, from its own list of users."""
+    """The daemon's user id in the root, from its list of users."""
     with (ROOT / "etc/passwd").open() as users:
         return next((int(line.split(":")[2]) for line in users if line.startswith("stictiond:")), None)
 
@@ -184,17 +184,17 @@ def main():
     kept = recordings()
     assert kept and all(path.stat().st_uid == number for path in STATE.rglob("*"))
 
-    # An upgrade: what the user has written, recordings and alarm states stay.
+    # An upgrade keeps the user's edits, the recordings and the alarm states.
     mine = CONFIG.read_text().replace('"plant1/area1"', '"my/plant"')
     assert mine != CONFIG.read_text()
     CONFIG.write_text(mine)
-    for package in (SECOND, SECOND):  # and once more over itself
+    for package in (SECOND, SECOND):  # the second time over itself
         dpkg("--install", package)
         assert inside("dpkg-query", "-W", "-f", "${Version}", "stictiond").endswith("-2")
         assert CONFIG.read_text() == mine and kept.items() <= recordings().items() and uid() == number
     CONFIG.write_text(mine.replace('"my/plant"', '"plant1/area1"'))
     stops.append(run_once(2))
-    # And back.
+    # A downgrade.
     dpkg("--install", FIRST)
     stops.append(run_once(3))
     CONFIG.write_text(mine)

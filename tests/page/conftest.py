@@ -1,4 +1,4 @@
-"""What the tests of the page share: a browser that notes every complaint, and daemons with a plant that Python plays."""
+"""Shared by the page tests: a browser that records every error, and daemons with a plant simulated in Python."""
 
 import json
 import os
@@ -21,13 +21,13 @@ TOKEN = "a-token-for-the-test-of-the-page"
 SKIPPED = []
 # Set by tests/run.sh --all: every width, scheme and name; otherwise one of each.
 LONG = bool(os.environ.get("STICTIOND_LONG"))
-# Machines that are busy with other tests take their time.
+# Machines that are busy with other tests are slow.
 expect.set_options(timeout=30_000)
-# What a browser says where the daemon is away.
+# The browser's error when the daemon is down.
 AWAY = r"net::ERR_"
-# And where an answer is a refusal that the page shows in words: no closed loop can be simulated.
+# Its error for a refusal that the page shows in words: no closed loop can be simulated.
 REFUSED = r"422 .*/repair\)"
-# Names that somebody may give a loop to see what happens.
+# Malicious names for loops.
 HOSTILE = [
     "<img src=x onerror=alert(1)>",
     "\"quoted\" 'name' & more",
@@ -38,7 +38,7 @@ HOSTILE = [
 
 
 def skipped(why):
-    """Says at the end, loudly, what was not looked at."""
+    """Reports skipped tests prominently at the end."""
     SKIPPED.append(why)
 
 
@@ -50,7 +50,7 @@ def pytest_terminal_summary(terminalreporter):
 @pytest.fixture(scope="session")
 def chromium():
     with sync_playwright() as playwright:
-        # What a browser asks its maker for by itself is no request of the page.
+        # Requests of the browser to its vendor are not those of the page.
         browser = playwright.chromium.launch(
             executable_path=os.environ["CHROMIUM"],
             args=["--no-sandbox", "--disable-background-networking", "--disable-component-update"],
@@ -67,9 +67,9 @@ def axe_source():
 
 @pytest.fixture
 def open_page(chromium, axe_source):
-    """Opens pages; at the end none may have complained on the console or asked another host for anything.
+    """Opens pages; at the end none may have logged an error or made a request to another host.
 
-    `lossy` is what a browser may say all the same, such as [`AWAY`].
+    `lossy` are errors that are allowed, such as [`AWAY`].
     """
     opened = []
 
@@ -79,7 +79,7 @@ def open_page(chromium, axe_source):
         if axe_source:
             context.add_init_script(axe_source)
         if token := getattr(daemon, "token", None):
-            # As if somebody had entered it before. A sandboxed frame has no storage.
+            # As if the user had entered it before. A sandboxed frame has no storage.
             context.add_init_script(f"try {{ sessionStorage.setItem('stictiond.token', '{token}') }} catch {{}}")
         said = []
 
@@ -118,7 +118,7 @@ def loop_path(name):
 
 
 def put(bus, key, samples):
-    """Publishes samples, and waits where a busy daemon has no room for them: a lost message would be a data gap."""
+    """Publishes samples, and waits if a busy daemon has no room for them: a lost message would be a data gap."""
     patient = zenoh.CongestionControl.BLOCK
     bus.put(key, json.dumps(samples), encoding="application/json", congestion_control=patient)
 
@@ -141,7 +141,7 @@ class Plant:
                 put(self.bus, f"{self.prefix}/{name}/{signal}", samples)
 
     def past(self):
-        # In slices of time, as plants send: the loops' clocks go together.
+        # In slices of time, as from a plant, so that the loops' clocks advance together.
         for at in range(0, self.past_s, 500):
             for name in self.loops:
                 self.put(name, at, min(self.past_s, at + 500))
@@ -157,7 +157,7 @@ class Plant:
 
 
 def bus_at(endpoint, prefix):
-    """A session at a daemon that may not listen yet; back once the daemon hears what is put below the prefix."""
+    """A session at a daemon that may not listen yet; returns once the daemon receives samples below the prefix."""
 
     def opened():
         try:
@@ -178,7 +178,7 @@ def zenoh_at(endpoint):
 
 @pytest.fixture(scope="session")
 def plant(tmp_path_factory):
-    """A daemon that watches a sticking loop and loops with hostile names, with a past and going on live."""
+    """A daemon that watches a sticking loop and loops with hostile names, with a past and live samples."""
     folder = tmp_path_factory.mktemp("plant")
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     (folder / "token").write_text(f"{TOKEN}\n")
@@ -209,7 +209,7 @@ def windows_of_all(daemon, count):
 
 
 class Demo:
-    """`stictiond demo`, in a folder of its own."""
+    """`stictiond demo` in a separate folder."""
 
     def __init__(self, folder):
         self.log = folder / "log"

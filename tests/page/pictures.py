@@ -1,9 +1,9 @@
-"""Makes docs/pictures again from the program in target/debug; first `bash tests/page/run.sh --fetch`, then
+"""Regenerates docs/pictures with the program in target/debug; first `bash tests/page/run.sh --fetch`, then
 
     CHROMIUM=chromium target/python/bin/python -m pytest -c tests/page/pytest.ini tests/page/pictures.py
 
-The overview and a loop are of `stictiond demo`, the workbench has the recording of a valve of forces. No test compares
-them: a browser of another version draws other pixels.
+The overview and a loop are from `stictiond demo`; the workbench has a recording with the force model of the valve. No test
+compares them, since another version of the browser draws other pixels.
 """
 
 import pytest
@@ -31,14 +31,14 @@ def keep(page, name):
 
 def test_overview_and_loop(plant, open_page):
     eventually("the alarm", lambda: any(row["active"] for row in api(plant, "/loops")["loops"]), within=120)
-    # The cause of an oscillation is that of most of the last windows: some have to come.
+    # The displayed cause is the one that most of the last windows name, so wait for several.
     eventually("windows of all loops", lambda: all(len(row["recent"]) >= 6 for row in api(plant, "/loops")["loops"]), within=120)
     page = open_page(plant, viewport={"width": 1200, "height": 560})
     settled(page)
     keep(page, "overview")
     page = open_page(plant, "#/loop/FIC101", viewport={"width": 1200, "height": 1500})
     expect(page.get_by_role("heading", level=1).first).to_be_visible()
-    # The demo's loops go on, so this view is never settled for long; its parts come within seconds.
+    # The demo's loops continue, so this view is never settled for long; its parts load within seconds.
     page.wait_for_timeout(10_000)
     keep(page, "loop")
 

@@ -1,4 +1,4 @@
-"""An alarm's life as people see it, through a killed daemon and a lost network."""
+"""The life of an alarm as users see it, with a killed daemon and a lost network in between."""
 
 import json
 import re
@@ -40,11 +40,11 @@ recording = {{ signals = ["op", "pv", "sp"], pv_quantum = 0.01 }}
 
 
 class Repair:
-    """A daemon, and a plant whose valve sticks in the first part and is repaired in the second."""
+    """A daemon, and a plant with a valve that sticks in the first part and is repaired in the second."""
 
     def __init__(self, folder):
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        # Windows end at multiples of the hop: the same ones in every run.
+        # Windows end at multiples of the hop, so they are the same in every run.
         self.start = time.time() // HOP_S * HOP_S - 2 * PART_S
         self.parts = []
         for k, (label, valve) in enumerate(
@@ -80,7 +80,7 @@ def entry(page):
 
 
 def answer(page, button, **fields):
-    """Presses a button of the alarm and answers its dialog."""
+    """Presses a button of the alarm and fills in its dialog."""
     page.get_by_role("button", name=f"{button}: {LOOP}", exact=True).first.click()
     dialog = page.get_by_role("dialog")
     expect(dialog.get_by_label("Your name")).to_be_focused()
@@ -101,7 +101,7 @@ def test_an_alarm_rises_is_acknowledged_shelved_and_taken_back(repair, open_page
     repair.play(0)
     expect(entry(page)).to_contain_text("active, unacknowledged", timeout=60_000)
     expect(page.get_by_role("navigation", name="Main")).to_contain_text("1 unacknowledged")
-    # Nobody acknowledges without a name; Esc leaves everything as it is.
+    # Acknowledging needs a name; Esc changes nothing.
     page.get_by_role("button", name=f"Acknowledge: {LOOP}", exact=True).click()
     page.get_by_role("dialog").get_by_role("button", name="Acknowledge").click()
     expect(page.get_by_role("dialog").get_by_label("Your name")).to_be_focused()
@@ -125,7 +125,7 @@ def test_an_alarm_rises_is_acknowledged_shelved_and_taken_back(repair, open_page
 
     page.goto(f"http://{repair.daemon.web}/#/loop/{LOOP}")
     expect(page.get_by_role("main")).to_contain_text("alarm active, acknowledged")
-    # The bus tells the same changes, and the page's newest is the bus's.
+    # The bus has the same changes, and the newest on the page is the bus's.
     eventually("four changes on the bus", lambda: len(said) >= 4)
     assert [d["event"] for d in said] == ["raised", "acknowledged", "shelved", "unshelved"], said
     assert alarm(repair) == said[-1]
@@ -161,7 +161,7 @@ def test_a_page_outlives_reload_kill_and_a_lost_network(repair, open_page):
     repair.daemon.__enter__()
     for shown in (page, alarms):
         is_live(shown)
-    # The alarm is as it was left, and so is what Ann wrote.
+    # The alarm and Ann's comment are unchanged.
     expect(entry(alarms)).to_contain_text("active, acknowledged", timeout=15_000)
     expect(entry(alarms)).to_contain_text("packing, stop in May")
     expect(page.get_by_role("link", name=re.compile(f"^{LOOP}, ")).first).to_be_visible()
@@ -173,7 +173,7 @@ def test_a_page_outlives_reload_kill_and_a_lost_network(repair, open_page):
 
 
 def test_the_alarm_clears_when_the_valve_moves_freely(repair, open_page):
-    # After the restart there is no sample to draw yet, and a browser notes the 404 that says so.
+    # After the restart there is no sample to draw yet, and the browser logs the resulting 404.
     page = open_page(repair.daemon, f"#/loop/{LOOP}", lossy=r"404 .*/window\)")
     alarms = open_page(repair.daemon, "#/alarms")
     expect(page.get_by_role("main")).to_contain_text("alarm active, acknowledged")
@@ -187,14 +187,14 @@ def test_the_alarm_clears_when_the_valve_moves_freely(repair, open_page):
     history = page.get_by_role("region", name="Changes of the alarm").get_by_role("row")
     expect(history.filter(has_text="cleared")).to_have_count(1)
     expect(history.filter(has_text="packing, stop in May")).not_to_have_count(0)
-    # The button shows the history even where the section never comes near the screen by itself.
+    # The button shows the history even if the section never comes near the screen.
     page.add_init_script("window.IntersectionObserver = class { observe() {} disconnect() {} }")
     page.reload()
     page.get_by_role("button", name="Alarm history").click()
     expect(history.filter(has_text="cleared")).to_have_count(1)
 
     assert alarm(repair)["state"] == "normal" and not alarm(repair)["active"]
-    # What was recorded says so too.
+    # The recording has the same.
     repair.daemon.stop()
     for cut in repair.daemon.recordings.glob("*.part"):
         assert stictiond("recover", cut, "--out", cut.with_suffix(""))[0] in (0, 3)

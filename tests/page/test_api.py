@@ -1,4 +1,4 @@
-"""The API under the page: described by OpenAPI, and its answers fit the description."""
+"""The page's API: its OpenAPI description is valid, and its answers match it."""
 
 import json
 import time
@@ -31,7 +31,7 @@ def ask(daemon, path):
 
 
 def fits(schema, description, document, where):
-    """Every reference is one into the description."""
+    """Checks a document with a schema; every reference points into the description."""
     assert schema is not False, where
     whole = {**(schema if schema is not True else {}), "components": description["components"]}
     faults = [f"{where}: {list(e.absolute_path)}: {e.message[:200]}" for e in jsonschema.Draft202012Validator(whole).iter_errors(document)]
@@ -128,7 +128,7 @@ def test_an_estimate_keeps_its_evidence_over_a_data_gap(tmp_path):
         publish(0, 1220, 0)
         eventually("an estimate", lambda: window() == (start_s + 1200) * 1000, within=90)
         before = ask(daemon, "/api/v1/loops/A/pictures")
-        # An hour is missing: the loop's history starts again behind it.
+        # An hour is missing, so the loop's history starts again after it.
         publish(1220, 1400, 3600)
         eventually("the gap", lambda: api(daemon, "/loops/A/window")["t_ms"][0] > (start_s + 1300) * 1000)
         after = ask(daemon, "/api/v1/loops/A/pictures")

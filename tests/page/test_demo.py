@@ -1,4 +1,4 @@
-"""`stictiond demo` opens on a page that answers within a minute, and that everybody can read."""
+"""`stictiond demo` opens a page that has answers within a minute and is accessible."""
 
 import re
 import time
@@ -9,11 +9,11 @@ from playwright.sync_api import expect
 
 from daemon import eventually
 
-# What the demo simulates: the tile that a loop ends up as, and the chip that its verdict counts under.
+# Expected results of the demo: each loop's final tile, and the filter under which its verdict is counted.
 TRUTH = {
     "FIC101": ("maintenance required", "sticks"),
     "TIC102": ("nothing found", "steady"),
-    # A cause is a hint: it is shown once most of the last windows name it.
+    # A cause is a hint, shown only once most of the last windows name it.
     "PIC103": ("out of specification", "tuning|oscillates"),
     "FIC104": ("out of specification", "disturbed|oscillates"),
 }
@@ -45,13 +45,13 @@ def test_the_four_loops_have_the_right_verdicts(demo, open_page):
 
 
 def look(page, where):
-    """What axe finds, in lines."""
+    """The findings of axe, one a line."""
     found = page.evaluate("() => axe.run(document, { resultTypes: ['violations'] })")["violations"]
     return [f"{where}: {v['id']} ({v['impact']}): {v['help']}: {n['html'][:160]}" for v in found for n in v["nodes"][:2]]
 
 
 def settled(page):
-    """Everything is loaded: what waits until it comes near the screen is brought there."""
+    """Waits until everything is loaded, scrolling to parts that load only near the screen."""
     waiting = """() => {
       const bone = document.querySelector('main [aria-busy=true], main .skeleton');
       bone?.scrollIntoView();

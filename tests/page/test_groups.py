@@ -1,4 +1,4 @@
-"""The plant view: groups of loops that share one oscillation. The daemon's answer is replaced where a group is needed."""
+"""The plant view: groups of loops that share one oscillation. The daemon's answer is replaced if a group is needed."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Who means harm: foreign pages and machines, paths that lead out, requests that never end, names that are code."""
+"""Attacks: foreign pages and machines, paths outside the folder, requests that never end, names that contain code."""
 
 import http.client
 import json
@@ -15,7 +15,7 @@ from daemon import Daemon, eventually
 
 COMMAND = json.dumps({"cmd": "suppress", "by": "Eve"})
 SILENCE_S = 15
-# Both the head of a request (5 s) and what looks for dead connections (every 5 s) have to strike.
+# Covers the limit for the head of a request (5 s) and the check for dead connections (every 5 s).
 HEAD_WITHIN_S = 15
 
 
@@ -30,7 +30,7 @@ def alone(tmp_path_factory):
 
 @pytest.fixture(scope="module", autouse=True)
 def stream(alone):
-    """A stream that is read all the while: when its bytes came, and what they were."""
+    """A stream that is read continuously: its bytes, and their times of arrival."""
     seen = {"at": [], "bytes": b"", "ended": None}
 
     def read():
@@ -56,7 +56,7 @@ def head(method, path, host, *more):
 
 
 def said(s):
-    """All that comes until the other side closes; what it breaks off counts as closed."""
+    """All bytes until the other side closes or resets the connection."""
     whole = b""
     try:
         while part := s.recv(65536):
@@ -76,7 +76,7 @@ def status(daemon, method, path, headers=None, body=None, host="127.0.0.1"):
 
 
 def other_address():
-    """This machine's address in its network, from which we are another machine."""
+    """This machine's network address, from which requests do not count as local."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
         try:
             s.connect(("192.0.2.1", 9))
@@ -104,7 +104,7 @@ def test_foreign_pages_and_names_command_nothing(plant):
         got, body = status(plant, "POST", path, headers, COMMAND)
         assert got == wanted and "error" in json.loads(body), (headers, got, body)
     assert status(plant, "GET", "/api/v1/loops", {"Host": "evil.example"})[0] == 421
-    # From this machine the token is needed too.
+    # The token is needed even from this machine.
     assert status(plant, "POST", path, own, COMMAND)[0] == 401
     got, _ = status(plant, "POST", path, {**own, "Authorization": f"Bearer {TOKEN}", "Content-Type": "text/plain"}, COMMAND)
     assert got == 415
@@ -132,7 +132,7 @@ def test_other_machines_read_and_command_with_the_token_alone(plant, alone):
         assert got == wanted, (headers, got, body)
     back = json.dumps({"cmd": "unsuppress", "by": "Ann"})
     assert status(plant, "POST", path, {**own, "Authorization": f"Bearer {TOKEN}"}, back, far)[0] == 200
-    # Without a token in the configuration nothing comes in, whatever is sent.
+    # Without a configured token, nothing is accepted from outside, whatever is sent.
     assert json.loads(status(alone, "GET", "/api/v1/site", host=far)[1])["token"] == "refused"
     assert status(alone, "POST", path, {**own, "Authorization": "Bearer "}, COMMAND, far)[0] == 403
 
@@ -227,7 +227,7 @@ def test_hundreds_of_idle_connections_do_not_keep_others_out_for_long(alone):
 
 
 def shows(page, name):
-    """The name stands there as text, and made nothing else."""
+    """Checks that the name is displayed as text and had no other effect."""
     expect(page.get_by_role("main")).to_contain_text(name)
     assert page.locator("img[src='x'], img[onerror]").count() == 0
 
@@ -239,7 +239,7 @@ IDS = ["markup", "quotes", "path", "right-to-left", "long"]
 def test_names_that_are_code_show_as_text(plant, open_page, name):
     page = open_page(plant)
     page.get_by_label("Find").fill(name)
-    # The filter acts after a pause in typing, and moves the tiles.
+    # The filter is applied after a pause in typing, and moves the tiles.
     expect(page.get_by_text(re.compile(r"^1 of \d+ loops$"))).to_be_visible()
     tile = page.get_by_role("listitem").get_by_role("link").filter(has_text=name)
     expect(tile).to_have_count(1)
@@ -269,7 +269,7 @@ def test_names_that_are_code_show_as_text(plant, open_page, name):
 
 
 def test_a_stream_lives_on_and_is_never_silent_for_long(stream):
-    """Last, so that it has gone on for a while already."""
+    """Last, so that the stream has been open for a while."""
     eventually("71 seconds of stream", lambda: stream["ended"] or time.monotonic() - stream["from"] > 71, within=75)
     assert stream["ended"] is None, f"ended after {stream['ended'] - stream['from']:.0f} s"
     at = [stream["from"], *stream["at"], time.monotonic()]

@@ -8,7 +8,7 @@ from playwright.sync_api import expect
 LOOP = "FIC101"
 MOST_STOPS = 60
 
-# Whether whoever looks can see where the focus is.
+# Whether the focus is visible.
 SEEN = """() => {
   const node = document.activeElement;
   const style = getComputedStyle(node);
@@ -18,7 +18,7 @@ NAME = "() => document.activeElement.getAttribute('aria-label') ?? document.acti
 
 
 def tab_to(page, name, key="Tab"):
-    """Presses Tab until what has that name has the focus; every stop on the way can be seen."""
+    """Presses Tab until the element of that name has the focus; every stop must be visible."""
     for _ in range(MOST_STOPS):
         page.keyboard.press(key)
         at = page.evaluate(NAME)

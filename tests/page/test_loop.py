@@ -1,4 +1,4 @@
-"""One loop's page: what it draws, what it lets people do, what it gives away."""
+"""One loop's page: its charts, commands and downloads."""
 
 import csv
 import json
@@ -34,7 +34,7 @@ def plot(page):
 
 
 def inked(page):
-    """Pixels of the chart that are drawn on."""
+    """Number of drawn pixels of the chart."""
     return chart(page).locator("canvas").evaluate("""(canvas) => {
       const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
       let n = 0;
@@ -44,16 +44,16 @@ def inked(page):
 
 
 def shown(page):
-    """First and last time on the axis, from the table that stands for the picture."""
+    """First and last time on the axis, from the table of values."""
     fold = chart(page).get_by_text("Values as a table")
     details = chart(page).locator("details")
     times = details.locator("tbody th")
     if details.get_attribute("open") is not None:
         fold.click()
-    # A folded table is empty, so that what is read next is not what it held before.
+    # A folded table is empty, so the next reading cannot be outdated.
     expect(times).to_have_count(0)
 
-    # It is drawn anew with every sample: a click may meet the one before.
+    # It is redrawn with every sample, so a click may hit the previous one.
     def unfolded():
         if details.get_attribute("open") is None:
             fold.click()
@@ -99,7 +99,7 @@ def test_the_trend_grows_zooms_pans_and_tells_values(plant, page):
     plot(page).focus()
     page.keyboard.press("Shift+ArrowLeft")
     panned = shown(page)
-    # The window moves on while this looks and lets its first samples go: the last one shown tells where the axis ends.
+    # The window moves on in the meantime and drops its first samples, so compare the last one.
     assert panned[1] < zoomed[1], (zoomed, panned)
     chart(page).get_by_role("button", name=f"Zoom in: {CHART}").click()
     assert shown(page)[1] < panned[1]

@@ -47,7 +47,7 @@ def test_the_list_groups_by_area_and_shows_what_work_brought(plant, open_page, a
     expect(entries.nth(0).locator("a")).to_have_text(NAME)
     for part in ("4 (3.8 to 4.2) % of travel", "p 0.90", "40 to 60 % less PV variation", "bump test, then inspect"):
         expect(entries.nth(1)).to_contain_text(part)
-    # The sentences come on a click.
+    # The sentences appear on a click.
     expect(page.get_by_text("Do a bump test.").nth(1)).to_be_hidden()
     page.get_by_role("button", name="Details of B").click()
     expect(page.get_by_text("Do a bump test.").nth(1)).to_be_visible()

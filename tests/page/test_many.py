@@ -72,10 +72,10 @@ def test_a_tile_clicked_while_the_last_letter_of_a_search_waits_leads_to_its_loo
       find.dispatchEvent(new Event('input', { bubbles: true }));
       document.querySelector("main li a[href^='#/loop/']").click();
     }""")
-    # Longer than the pause that a search waits for before it writes itself into the address.
+    # Longer than the pause before a search is written to the address.
     page.wait_for_timeout(500)
     assert page.evaluate("location.hash").startswith("#/loop/")
-    # A loop without a window has no pictures, and a browser that asked for them would complain.
+    # A loop without a window has no pictures, and the browser would log an error if it requested them.
     pictures = page.get_by_role("region", name="Pictures")
     pictures.scroll_into_view_if_needed()
     expect(pictures).to_contain_text("No window yet")
@@ -94,7 +94,7 @@ def test_scrolling_reaches_and_draws_the_last_tile(many, open_page):
 
 
 def resident_mb(daemon, seconds):
-    """The most memory that the daemon holds within some seconds, MB."""
+    """Peak memory of the daemon within some seconds, MB."""
     most, until = 0, time.monotonic() + seconds
     while time.monotonic() < until:
         status = Path(f"/proc/{daemon.process.pid}/status").read_text()
@@ -112,7 +112,7 @@ def test_streams_that_nobody_reads_do_not_fill_memory(many):
         s.connect((host, int(port)))
         s.sendall(f"GET /api/v1/events HTTP/1.1\r\nHost: {many.web}\r\n\r\n".encode())
         sockets.append(s)
-    # Every stream begins with all rows; what comes after must not pile up behind them.
+    # Every stream begins with all rows; later events must not pile up behind them.
     publish(many.bus, 1)
     before = resident_mb(many, 5)
     for turn in range(2, 8):
@@ -121,5 +121,5 @@ def test_streams_that_nobody_reads_do_not_fill_memory(many):
     for s in sockets:
         s.close()
     print(f"\n  {before:.0f} MB resident with 20 unread streams, {after:.0f} MB after six more rounds of {LOOPS} loops")
-    # Had they piled up, six rounds of all rows for twenty streams would be 600 MB; the first round may still be on its way.
+    # If they piled up, six rounds of all rows for twenty streams would take 600 MB; the first round may still be in transit.
     assert after - before < 150

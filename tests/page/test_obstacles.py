@@ -1,4 +1,4 @@
-"""The data view: the share of loops that can be judged, and what keeps the others from it."""
+"""The data view: the share of loops that can be judged, and the obstacles of the others."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The overview: it shows the daemon's own sentences, signs and figures."""
+"""The overview shows the daemon's sentences, signs and figures."""
 
 from conftest import api
 from daemon import eventually

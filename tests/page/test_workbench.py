@@ -1,4 +1,4 @@
-"""The workbench: files in a browser, with the numbers of the command line, and uploads that mean harm."""
+"""The workbench: files in a browser, with the numbers of the command line, and malicious uploads."""
 
 import json
 import re
@@ -159,7 +159,7 @@ def test_what_a_run_analyses_is_seen_before_it_and_help_explains_every_field(ben
     for axes, charts, right in [("Two axes", 1, 1), ("One axis", 1, 0), ("Two charts", 2, 0)]:
         trend.get_by_role("button", name=axes).click()
         expect(plots.get_by_role("application")).to_have_count(charts)
-        # Next to the time's, every chart has an axis on the left, and one on the right where there are two.
+        # Besides the time axis, every chart has an axis on the left, and one on the right if there are two.
         expect(plots.locator(".u-axis")).to_have_count(2 * charts + right)
     # The choice of axes is a step like any other.
     page.get_by_role("button", name="↶ Undo").click()
@@ -181,7 +181,7 @@ def test_what_a_run_analyses_is_seen_before_it_and_help_explains_every_field(ben
 
 
 def test_a_file_is_opened_and_what_cannot_be_read_says_why(bench, open_page, tmp_path):
-    # A browser notes a refusal, whatever the page makes of it.
+    # The browser logs a refusal, however the page handles it.
     page = open_page(bench, lossy="422")
     name = "<img src=x onerror=alert(1)> & more.csv"
     rows = ["t,op,pv"] + [f"{k},{50 + k % 40},{60 - k % 40}" for k in range(400)]
@@ -199,7 +199,7 @@ def test_a_file_is_opened_and_what_cannot_be_read_says_why(bench, open_page, tmp
     expect(files).to_contain_text(re.compile(r"junk\.csv: .{10,}"))
     page.get_by_role("button", name=f"Close {name}").click()
     expect(files).not_to_contain_text(name)
-    # A store's loops are numbered; their tags say what they are.
+    # A store's loops are numbered; their tags identify them.
     store = tmp_path / "store.mat"
     code, _, said = stictiond("convert", RECORDING, store)
     assert code == 0, said
@@ -258,7 +258,7 @@ def test_at_every_width_words_stay_whole_choices_in_view_and_no_column_empty(ben
 
 
 def posted(bench, path, headers, body=b""):
-    """Sends a request by hand, and gives status and body."""
+    """Sends a hand-made request; returns status and body."""
     host, port = bench.web.split(":")
     with socket.create_connection((host, int(port)), timeout=30) as s:
         headers = {"Host": bench.web, "Connection": "close", **headers}
@@ -287,10 +287,10 @@ def test_uploads_that_mean_harm_are_refused(bench):
     for query, wanted in [("", (400, 422)), ("?name=a.csv&tz=Nowhere", (400, 422)), ("?name=a.csv&evil=1", (200, 400, 422))]:
         status, body = posted(bench, UPLOADS + query, {**BODY, **length}, table)
         assert status in wanted, (query, status, body)
-    # More than is ever taken is refused before it is sent.
+    # A size above the limit is refused before the data are sent.
     status, body = posted(bench, f"{UPLOADS}?name=a.csv", {**BODY, "Content-Length": str(300 << 20)})
     assert status == 413 and "error" in json.loads(body), (status, body)
-    # A name is a name, never a way.
+    # A file name is never used as a path.
     status, body = posted(bench, f"{UPLOADS}?name=..%2F..%2F..%2Fetc%2Fpasswd.csv", {**BODY, **length}, table)
     assert status in (200, 422), (status, body)
     if status == 200:

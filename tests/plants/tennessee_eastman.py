@@ -1,4 +1,4 @@
-"""The Tennessee Eastman plant, with a sticking valve put in, judged by `stictiond analyze --plant`.
+"""The Tennessee Eastman plant with an added sticking valve, judged by `stictiond analyze --plant`.
 
 The plant and its controllers are those of the PyPI package tep-studio: Downs and Vogel's process as revised by
 Bathelt, Ricker and Jelali, under Ricker's decentralized control (J. Proc. Cont. 6, 1996). In half of the plants one of
@@ -26,9 +26,9 @@ from tep_studio.control.tuning import apply_tuning
 
 HOURS = 12.0
 STEP_HOURS = 0.0005
-# Until then the plant settles, and nothing is recorded.
+# Time for the plant to settle; nothing is recorded until then.
 SETTLED_HOURS = 1.0
-# Fewest reversals of a stem in the record that show its limit cycle as the daemon's windows would.
+# Fewest reversals of a stem in the record for its limit cycle to show, as in the daemon's windows.
 SHOWN_REVERSALS = 16
 # Random disturbances (IDV) whose plant stays within its limits for the day.
 RANDOM_DISTURBANCES = [8, 9, 10, 11, 12, 16, 17, 18]
@@ -38,7 +38,7 @@ TEMPERATURES = {
     "reactor_temperature": RICKER_MODE1.reactor_temperature,
     "separator_temperature": RICKER_MODE1.separator_temperature,
 }
-# Outer loops of cascades: their output is the set point of a loop above, so they have no valve of their own.
+# Outer loops of cascades: their output is the set point of a loop listed above, so they have no valve.
 OUTER = {
     "reactor_level": RICKER_MODE1.reactor_level,
     "separator_level": RICKER_MODE1.separator_level,
@@ -48,7 +48,7 @@ OUTER = {
 
 
 class Valve:
-    """He's law: the stem rests until OP is farther than fs away, and then comes within fd of it."""
+    """He's law: the stem rests until OP is farther than fs away, and then moves to within fd of it."""
 
     def __init__(self, fs, fd):
         self.fs, self.fd, self.stem = fs, fd, None
@@ -68,10 +68,10 @@ class Valve:
 
 @dataclasses.dataclass
 class Case:
-    """What a seed draws."""
+    """The case drawn from a seed."""
 
     seed: int
-    # The loop whose valve sticks, with its bands in per cent of the stroke.
+    # The loop with the sticking valve, and its bands in per cent of the stroke.
     sticking: str | None = None
     s: float = 0.0
     j: float = 0.0
@@ -107,7 +107,7 @@ class Case:
 
 
 def simulate(case):
-    """Each loop's rows (OP, PV, SP), and the reversals of the sticking stem; None where the plant shuts down."""
+    """Each loop's rows (OP, PV, SP), and the reversals of the sticking stem; None if the plant shuts down."""
     registry = RICKER_MODE1
     if case.tightly:
         registry = apply_tuning(registry, {"reactor_temperature.kc": case.tightly * registry.reactor_temperature.kc})
@@ -166,7 +166,7 @@ def judge(program, rows, folder):
 
 
 def run(seed, program, keep):
-    """A seed's case as it was run, and what the program says of it. A plant that shuts down sticks half as much."""
+    """A seed's case as it was run, and the program's answers. If the plant shuts down, the bands are halved."""
     case, tried = Case.draw(seed), 0
     while (ran := simulate(case)) is None:
         if not case.sticking or tried == 4:
@@ -181,7 +181,7 @@ def run(seed, program, keep):
 
 
 class Table:
-    """Shares, a row each."""
+    """Fractions, one per row."""
 
     def __init__(self):
         self.rows = {}

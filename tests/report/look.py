@@ -1,4 +1,4 @@
-"""Opens reports in Chromium and looks for what a reader would stumble over.
+"""Opens reports in Chromium and checks for visible faults.
 
 Usage: look.py STICTIOND CHROMIUM [FOLDER FOR SCREENSHOTS]
 """
@@ -13,7 +13,7 @@ from playwright.sync_api import sync_playwright
 LONG = "UNIT-4711_DISTILLATION-COLUMN-TOP-REFLUX-DRUM-LEVEL-CONTROLLER_LIC-20417-A"
 LOOPS = 300
 
-# What is wrong with the page that is open; an empty list is what we want.
+# The faults of the open page; the list should be empty.
 LOOK = """
 () => {
   const faults = [];
@@ -69,7 +69,7 @@ recording = {{ signals = ["op", "pv", "sp"], pv_quantum = 0.01 }}
 
 
 def make(program, folder):
-    """The reports to be looked at, by name."""
+    """The reports to check, by name."""
 
     def run(*arguments):
         done = subprocess.run([program, *map(str, arguments)], capture_output=True, text=True)
@@ -123,7 +123,7 @@ def main():
                         elif report.stem == "long":
                             page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
                             said += page.evaluate(LOOK)["faults"]
-                            # Paper has every loop, also what is folded on the screen.
+                            # In print every loop is shown, including those folded on the screen.
                             page.reload()
                             sheets = page.pdf().count(b"/Type /Page\n") if (width, scheme) == (1280, "light") else 99
                             if sheets < 8:

@@ -1,4 +1,4 @@
-// What people do with an alarm: acknowledge, shelve, confirm or mark as false. Name and reason go into the record.
+// Commands and reviews of alarms: acknowledge, shelve, confirm, mark as false. Name and reason are recorded.
 
 import * as api from "./api.js";
 import { h } from "./dom.js";
@@ -24,7 +24,7 @@ const COMMANDS = {
   unsuppress: { label: "Unsuppress", intro: "The alarm is active again.", fields: [why("")] },
 };
 
-/** Which commands an alarm's state allows, the likeliest first. */
+/** The commands that an alarm's state allows, the likeliest first. */
 export function allowed(state) {
   if (state === "shelved") return ["unshelve"];
   if (state === "suppressed") return ["unsuppress"];
@@ -64,13 +64,13 @@ const EXAMPLES = {
   repaired: "What was done, for example: packing replaced.",
 };
 
-/** What a review says, in words. */
+/** A review in words. */
 export function said(review) {
   if (review.label === "repaired") return `Repaired on ${format.dateTime(review.work_at_ms)}, says`;
   return review.label === "stiction" ? "Confirmed by" : "Marked as false by";
 }
 
-/** Asks how it was found out, and keeps what was found; resolves to the review, or null. */
+/** Asks how it was established, and stores the review; resolves to the review, or null. */
 export async function review(loop, label) {
   const { title, intro, methods, dated } = REVIEWS[label];
   const when = { name: "work_at", label: `Work done at, ${format.zoneName(Date.now())}`, type: "datetime-local", required: true, value: format.field(Date.now()) };
@@ -89,7 +89,7 @@ export async function review(loop, label) {
   return answer?.review ?? null;
 }
 
-/** Asks for the name and requests a gap diagnosis, with `pool` decided with earlier ones; resolves to the document, or null. */
+/** Asks for the name and requests a gap diagnosis, with `pool` joint with earlier ones; resolves to the document, or null. */
 export async function runGap(loop, pool, started) {
   let by = localStorage.getItem(NAME);
   if (!by) {
@@ -102,7 +102,7 @@ export async function runGap(loop, pool, started) {
   return api.post(api.loopPath(loop, "/gap"), { by, pool });
 }
 
-/** Buttons for an alarm; `done(document, review)` after each. `sticks`: what the program says, which people judge. */
+/** Buttons for an alarm; `done(document, review)` is called after each command. `sticks`: the program's verdict, on which people comment. */
 export function buttons(alarm, { done, sticks = true, window = true }) {
   if (store.site?.commands === false) return h("span", { class: "soft" }, "Commands are disabled in the configuration.");
   const list = allowed(alarm.state);

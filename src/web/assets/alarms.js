@@ -9,7 +9,7 @@ import { EVENTS, METHODS, PRIORITIES, STATES, VERDICTS, symbol } from "./words.j
 
 const ORDER = ["unack", "rtn_unack", "acked", "shelved", "suppressed", "out_of_service", "normal"];
 
-/** Whether an alarm is to be shown for a filter. */
+/** The filters, each with the alarms that it shows. */
 const VIEWS = {
   open: { label: "open", has: (a) => ["unack", "rtn_unack", "acked"].includes(a.state) },
   unack: { label: "unacknowledged", has: (a) => a.state === "unack" || a.state === "rtn_unack" },
@@ -35,7 +35,7 @@ function reviewed(review) {
   return h("li", null, `${said(review).replace(/^./, (c) => c.toLowerCase())} ${review.by}, ${METHODS[review.method] ?? review.method}, ${format.recent(review.at_ms)}`, review.why ? h("q", null, review.why) : null);
 }
 
-/** What the newest window with an answer found. */
+/** The figures of the newest window with an answer. */
 function figures(alarm) {
   const limit = alarm.limit ? `counts from ${alarm.limit}` : null;
   const parts = [VERDICTS[alarm.verdict]?.short ?? alarm.verdict, alarm.class, alarm.size ? `s ${alarm.size}` : null, limit, alarm.probability];
@@ -62,7 +62,7 @@ function entry(alarm, done) {
     buttons(alarm, { done }));
 }
 
-/** Shows the alarm list; returns what cleans up. */
+/** Shows the alarm list; returns a cleanup function. */
 export function show(root, { announce }) {
   const state = { view: "open", text: "" };
   const alarms = new Map();

@@ -1,11 +1,11 @@
-// Requests: headers, errors in words, the token, and a reader of server-sent events that also hears comments.
+// Requests: headers, errors in words, the token, and a reader of server-sent events that also notices comments.
 
 import { ask } from "./dialog.js";
 
 const BASE = new URL("api/v1", document.baseURI);
 const KEPT = "stictiond.token";
 
-/** An answer that is not the one hoped for; `message` is in plain words. */
+/** An unsuccessful answer; `message` is in plain words. */
 export class ApiError extends Error {
   constructor(status, message) {
     super(message);
@@ -23,7 +23,7 @@ const WORDS = {
   503: "The program is busy or starting. Try again in a moment.",
 };
 
-/** Address of an API path, for links, pictures and downloads; full ones from the server pass through. */
+/** URL of an API path, for links, pictures and downloads; complete paths from the server are passed through. */
 export function url(path) {
   if (path.startsWith("/api/v1")) return BASE.pathname + path.slice(7);
   return BASE.pathname + path;
@@ -46,14 +46,14 @@ async function failure(response) {
   try {
     words = (await response.json()).error;
   } catch {
-    // The body says nothing; the status has to do.
+    // The body has no text, so use the status.
   }
   return new ApiError(response.status, words ?? WORDS[response.status] ?? `The program answered with status ${response.status}.`);
 }
 
 let asking = null;
 
-/** Asks for the token, once at a time; resolves to whether one was given. */
+/** Asks for the token, one question at a time; resolves to whether one was given. */
 function askToken(words) {
   asking ??= ask({
     title: "Token needed",
@@ -86,7 +86,7 @@ export const get = (path, options) => request("GET", path, options);
 export const post = (path, body) => request("POST", path, { body: JSON.stringify(body) });
 export const del = (path) => request("DELETE", path);
 
-/** Sends a file; XMLHttpRequest, since fetch does not tell how far an upload is. */
+/** Sends a file with XMLHttpRequest, since fetch does not report the progress of uploads. */
 export function upload(path, blob, { onProgress, signal } = {}) {
   return new Promise((resolve, reject) => {
     const x = new XMLHttpRequest();
@@ -101,7 +101,7 @@ export function upload(path, blob, { onProgress, signal } = {}) {
       try {
         answer = JSON.parse(x.responseText);
       } catch {
-        // Not JSON; the status has to do.
+        // Not JSON, so use the status.
       }
       if (x.status >= 200 && x.status < 300) return resolve(answer);
       const error = new ApiError(x.status, answer?.error ?? WORDS[x.status] ?? `The program answered with status ${x.status}.`);
@@ -117,7 +117,7 @@ export function upload(path, blob, { onProgress, signal } = {}) {
 /** The path of a loop. */
 export const loopPath = (name, rest = "") => `/loops/${encodeURIComponent(name)}${rest}`;
 
-/** Splits a stream's text into events and hands them on; returns what is not yet complete. */
+/** Splits a stream's text into events and passes them on; returns the incomplete rest. */
 export function events(text, onEvent) {
   const blocks = text.replaceAll("\r\n", "\n").split("\n\n");
   const rest = blocks.pop();
@@ -150,7 +150,7 @@ export function stream(path, { onEvent, onBytes, onEnd }) {
       if (done) return;
       onBytes?.();
       parts.push(value);
-      // A long message comes in many parts: join them once its end has come.
+      // A long message comes in many parts: join them only when it is complete.
       if (value.includes("\n")) parts.splice(0, parts.length, events(parts.join(""), (name, data) => !closed && onEvent(name, data)));
     }
   };

@@ -1,4 +1,4 @@
-// Starts the page: theme, clock, link to the daemon, and which view the address asks for.
+// Starts the page: theme, clock, link to the daemon, and the view for the address.
 
 import * as api from "./api.js";
 import * as charts from "./charts.js";
@@ -16,14 +16,14 @@ const view = document.getElementById("view");
 const nav = document.getElementById("nav");
 const saidAt = document.getElementById("announce");
 
-/** Tells a screen reader. */
+/** Announces a text to screen readers. */
 function announce(words) {
   fill(saidAt, words);
 }
 
 const live = new Live({ onEvent: take, onState: (link, before) => {
   tell("link", link);
-  // After a pause everything that is shown may be old.
+  // After an interruption everything on display may be outdated.
   if (before === "lost" && link.state === "live") tell("back");
 } });
 const context = { api, charts, dialog, dom, format, pictures, announce, live, store };
@@ -46,20 +46,20 @@ let siteKind = "daemon";
 const isBench = () => store.site?.kind === "workbench";
 const place = () => location.hash.replace(/^#\/?/, "").split("?")[0];
 
-/** Draws the links again where something changed: what has the focus must not be taken away every second. */
+/** Redraws the links only if something changed, since the focused link must not be replaced every second. */
 function drawNav(path) {
   const waiting = [...store.rows.values()].filter((row) => row.unacknowledged).length;
   const key = JSON.stringify([path, waiting, store.site?.kind]);
   if (key === drawn) return;
   drawn = key;
   const links = ROUTES.filter((r) => r.at !== undefined && !(isBench() && r.live));
-  // Whoever stands on a link stays there.
+  // Keep the focus on the same link.
   const held = nav.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
   fill(nav, links.map((r) => h("a", { href: `#/${r.at}`, "aria-current": r.path.test(path) ? "page" : null }, label(r), r.at === "alarms" ? alarmCount(waiting) : null)));
   if (held) nav.querySelector(`a[href="${held}"]`)?.focus();
 }
 
-/** A link's name; its end is left out on narrow screens. */
+/** A link's name; its second part is hidden on narrow screens. */
 const label = ({ name, short }) => (short ? h("span", null, short[0], h("span", { class: "rest" }, short[1])) : name);
 
 function alarmCount(n) {
@@ -91,7 +91,7 @@ async function show() {
   }
   document.title = `${found.name} · stictiond`;
   fill(root, dom.skeleton(6));
-  // A daemon opens no files: its page says where they are opened.
+  // A daemon opens no files: its page says where they can be opened.
   const part = (isBench() && found.bench) || found;
   if (part.style) addStyle(part.style);
   try {
@@ -150,7 +150,7 @@ async function start() {
   try {
     takeSite(await api.get("/site"));
   } catch {
-    // The strip says that there is no link, and the stream tells the site once there is one.
+    // The strip shows that there is no link, and the stream sends the site once there is one.
   }
   if (!isBench()) live.open(null);
   show();

@@ -1,6 +1,6 @@
-// Wheel, drag with Shift, touch and keys of a line chart.
+// Wheel, Shift-drag, touch and keys of a line chart.
 
-/** Listens on a chart; returns a function that stops. */
+/** Adds listeners to a chart; returns a function that removes them. */
 export function gestures(chart) {
   const { plot, u } = chart;
   const over = u.over;
@@ -10,7 +10,7 @@ export function gestures(chart) {
 
   const xAt = (clientX) => u.posToVal(clientX - over.getBoundingClientRect().left, "x");
 
-  // The wheel scrolls the page until the chart is clicked, so that nobody is caught on the way down.
+  // The wheel scrolls the page until the chart is clicked, so that scrolling does not get stuck on it.
   const wheel = (e) => {
     if (!e.ctrlKey && !e.metaKey && !plot.contains(document.activeElement)) return;
     e.preventDefault();

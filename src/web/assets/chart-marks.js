@@ -1,10 +1,10 @@
-// What is drawn on a chart beside its lines: instants with a word, and stretches behind the lines.
+// Additions to the lines of a chart: instants with a word, and shaded ranges behind the lines.
 
 import { ink } from "./ink.js";
 
 const inside = (u, x) => x >= u.scales.x.min && x <= u.scales.x.max;
 
-/** Dashed upright lines with their words at the top, or rings where `y` is given. */
+/** Dashed vertical lines with their words at the top, or rings if `y` is given. */
 export function drawMarks(u, marks) {
   const { ctx, bbox } = u;
   const scale = devicePixelRatio;
@@ -36,7 +36,7 @@ export function drawMarks(u, marks) {
   ctx.restore();
 }
 
-/** Stretches as tinted ground. */
+/** Shaded ranges. */
 export function drawSpans(u, spans) {
   const { ctx, bbox } = u;
   ctx.save();

@@ -7,7 +7,7 @@ const WIDTH = 420;
 const HEIGHT = 320;
 const EDGE = { left: 52, right: 10, top: 10, bottom: 38 };
 
-/** Four to seven round numbers between two. */
+/** Four to seven round numbers between two values. */
 export function ticks(lo, hi) {
   const raw = (hi - lo) / 5 || 1;
   const power = 10 ** Math.floor(Math.log10(raw));

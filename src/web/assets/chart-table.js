@@ -1,4 +1,4 @@
-// The same numbers as a table, made when it is opened: for screen readers, for copying, and where a picture does not do.
+// The chart's numbers as a table, created when it is opened: for screen readers, for copying, and where a picture does not help.
 
 import { fill, h } from "./dom.js";
 import * as format from "./format.js";
@@ -35,7 +35,7 @@ function body({ rows, x, columns, plan }, options) {
   ];
 }
 
-/** A fold that holds what the chart shows as a table; `fillEmpty` makes the table of one that was opened before its data came. */
+/** A fold with the chart's data as a table; `fillEmpty` fills one that was opened before its data came. */
 export function table(visible, options) {
   const inside = h("div", null);
   const details = h("details", { class: "as-table" }, h("summary", null, "Values as a table"), inside);

@@ -1,4 +1,4 @@
-// Line charts: uPlot with a key that shows values at the cursor, zoom, pan, shared ranges, keyboard, a table instead.
+// Line charts with uPlot: a legend with values at the cursor, zoom, pan, linked ranges, keyboard, and a table as an alternative.
 
 import { fill, h } from "./dom.js";
 import * as format from "./format.js";
@@ -12,9 +12,9 @@ export { phase } from "./chart-phase.js";
 
 const groups = new Map();
 const DAY_MS = 864e5;
-/** Scale of the lines that have their axis on the right. */
+/** Scale of the lines with their axis on the right. */
 const RIGHT = "right";
-/** Widest chart on paper, px. */
+/** Widest chart in print, px. */
 const PAPER_WIDTH = 660;
 
 function timeLabels(u, splits) {
@@ -38,7 +38,7 @@ const axis = (label, extra) => ({
   ...extra,
 });
 
-// uPlot's series: one for each line, and two unseen ones around a line that has an interval.
+// uPlot's series: one for each line, plus two invisible ones around a line with an interval.
 function plan(series) {
   const rows = [];
   const bands = [];
@@ -60,7 +60,7 @@ function plan(series) {
   return { rows, bands };
 }
 
-/** A chart of lines over time or over a number; see `options` where it is called. */
+/** A line chart over time or over a number; for `options` see the calls. */
 export function line(root, options) {
   const chart = new LineChart(root, options);
   const { key } = chart;
@@ -151,7 +151,7 @@ class LineChart {
     return [least === undefined ? lo - room : Math.min(least, lo), hi + room];
   }
 
-  /** New data; the range stays where the reader put it if asked, else all of it is shown. */
+  /** New data; keeps the reader's range if asked, else shows everything. */
   setData(data, { keepView = false } = {}) {
     this.data = data;
     const x = data.x ?? [];
@@ -167,7 +167,7 @@ class LineChart {
     this.tellCursor(null);
   }
 
-  /** Range of x that is shown. */
+  /** The displayed range of x. */
   view() {
     const { min, max } = this.u.scales.x;
     return [min, max];
@@ -178,7 +178,7 @@ class LineChart {
     return this.shown !== null;
   }
 
-  /** Shows a range of x in this chart and those it shares it with. */
+  /** Shows a range of x in this chart and those linked with it. */
   setView(from, to, { byUser = false } = {}) {
     if (!(to > from)) return;
     for (const chart of groups.get(this.key) ?? [this]) {
@@ -188,7 +188,7 @@ class LineChart {
     if (byUser) this.options.onView?.(from, to);
   }
 
-  /** Shows all of the data. */
+  /** Shows all data. */
   reset(byUser = false) {
     for (const chart of groups.get(this.key) ?? [this]) {
       chart.shown = null;
@@ -233,7 +233,7 @@ class LineChart {
     return to - from > DAY_MS / 2 ? format.dateTime(x) : format.time(x);
   }
 
-  /** Values beside the names: at the cursor, else the last ones. */
+  /** Values next to the names: at the cursor, else the last ones. */
   tellCursor(idx) {
     const x = this.u.data[0];
     fill(this.at, idx === null || idx === undefined || !x.length ? "" : this.xText(x[idx]));
@@ -248,7 +248,7 @@ class LineChart {
     }
   }
 
-  /** Puts the cursor on a sample, by keyboard, and says its values. */
+  /** Moves the cursor to a sample from the keyboard, and announces its values. */
   cursorTo(idx) {
     const x = this.u.data[0];
     if (!x.length) return;
@@ -258,7 +258,7 @@ class LineChart {
     fill(this.said, `${this.xText(x[at])}: ${values.join(", ")}`);
   }
 
-  /** What is on the screen now, for the table. */
+  /** The displayed data, for the table. */
   visible() {
     const [from, to] = this.view();
     const x = this.u.data[0];

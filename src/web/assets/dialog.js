@@ -1,4 +1,4 @@
-// One dialog for every question: fields, an error inside, Esc closes, focus returns.
+// A single dialog for all questions: fields, errors shown inside, Esc closes, focus returns.
 
 import { fill, h } from "./dom.js";
 
@@ -21,7 +21,7 @@ function control(field, id) {
   return h("input", { ...props, type: field.type ?? "text", value: field.value ?? "" });
 }
 
-/** Asks; resolves to the values by name, or null when it was closed. What `onSubmit` throws is shown inside. */
+/** Asks; resolves to the values by name, or null if it was closed. Errors thrown by `onSubmit` are shown inside. */
 export function ask({ title, intro, fields = [], submit = "OK", onSubmit = async () => {} }) {
   const number = ++serial;
   const error = h("p", { class: "problem", role: "alert", hidden: true });

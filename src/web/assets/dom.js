@@ -1,4 +1,4 @@
-// Builds elements. Text goes in as text, never as markup, so no name or message can become code.
+// Builds elements. Text is inserted as text, never as markup, so no name or message can become code.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -20,32 +20,32 @@ function add(node, children) {
   }
 }
 
-/** An HTML element; properties that begin with `on` are listeners, null and false are left out. */
+/** An HTML element; properties that begin with `on` are listeners; null and false are left out. */
 export const h = (tag, props, ...children) => build(document.createElement(tag), props, children);
 
 /** An SVG element. */
 export const svg = (tag, props, ...children) => build(document.createElementNS(SVG, tag), props, children);
 
-/** Replaces what a node holds. */
+/** Replaces a node's children. */
 export function fill(node, ...children) {
   node.replaceChildren();
   add(node, children);
   return node;
 }
 
-/** A table's cell with a number and its interval below it. */
+/** A table cell with a number and its interval below it. */
 export const figureCell = ([value, interval]) => h("td", { class: "number" }, value, interval ? h("small", { class: "soft under" }, interval) : null);
 
-/** Grey lines where text will stand. */
+/** Grey placeholder lines for text. */
 export function skeleton(lines = 3) {
   const rows = Array.from({ length: lines }, () => h("span", { class: "bone" }));
   return h("div", { class: "skeleton", "aria-hidden": "true" }, rows);
 }
 
-/** Pause between two loads of the same thing that nobody asked for, ms. */
+/** Pause between two automatic loads of the same thing, ms. */
 const CALM_MS = 5000;
 
-/** Runs one load at a time; what is asked for meanwhile is done once more afterwards: at once if `soon`, else after a pause. */
+/** Runs one load at a time. Requests during a load cause one more afterwards: at once if `soon`, else after a pause. */
 export function single(load, calm_ms = CALM_MS) {
   let busy = false;
   let again = null;
@@ -62,7 +62,7 @@ export function single(load, calm_ms = CALM_MS) {
   };
 }
 
-/** A part of the page that loads: skeleton, then content, or the error in words with a button to try again. */
+/** A part of the page that loads: placeholder, then content, or the error in words with a button to try again. */
 export function loading(root, load, show, { lines = 4, calm_ms = CALM_MS } = {}) {
   let ended = false;
   const run = single(async () => {
@@ -80,16 +80,16 @@ export function loading(root, load, show, { lines = 4, calm_ms = CALM_MS } = {})
   return { run, end: () => (ended = true) };
 }
 
-/** Text in which `backticks` mark what is typed. */
+/** Text with code in `backticks`. */
 export const prose = (text) => text.split("`").map((part, k) => (k % 2 ? h("code", null, part) : part));
 
-/** What went wrong, in words, and a way to try again. */
+/** An error in words, and a button to try again. */
 export function problem(words, again) {
   const button = again && h("button", { class: "button quiet", type: "button", onclick: again }, "Try again");
   return h("p", { class: "problem" }, words, " ", button);
 }
 
-/** Calls `near` once: when a node comes near the screen, or by `now`. `end` stops watching. */
+/** Calls `near` once: when a node comes near the screen, or through `now`. `end` stops watching. */
 export function whenNear(node, near) {
   let waits = true;
   const watch = new IntersectionObserver((entries) => entries.some((e) => e.isIntersecting) && now(), { rootMargin: "300px" });

@@ -31,17 +31,17 @@ export function number(v) {
   return plain.format(v).replace("-", "−");
 }
 
-/** Two digits: what was simulated is worth no more. */
+/** Two significant digits, as suits simulated values. */
 export const rough = (v) => (missing(v) ? NONE : two.format(v).replace("-", "−"));
 
-/** A measured value at a cursor: as many digits as tell neighbours apart within `span`. */
+/** A measured value at a cursor, with enough digits to tell neighbours apart within `span`. */
 export function reading(v, span) {
   if (missing(v)) return NONE;
   const digits = span > 0 ? Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(span)))) : 3;
   return v.toFixed(digits).replace("-", "−");
 }
 
-// Digits behind the point that an interval of this half width deserves, at most three significant ones of the value.
+// Decimals justified by an interval of this half width, with at most three significant digits of the value.
 function decimals(v, half) {
   const size = Math.abs(v) || half || 1;
   const most = 2 - Math.floor(Math.log10(size));
@@ -81,7 +81,7 @@ export function probability(p) {
   return p.toFixed(2);
 }
 
-/** A share of 1 as per cent. */
+/** A fraction of 1 as per cent. */
 export const percent = (share) => (missing(share) ? NONE : `${whole.format(share * 100).replace("-", "−")} %`);
 
 /** "1 loop", "48 loops". */
@@ -120,14 +120,14 @@ export function recent(ms, now = Date.now()) {
 /** 12:03:10 today, else 6 Jan, 12:03:10. */
 export const stamp = (ms) => (day(ms) === day(Date.now()) ? time(ms) : `${shortDay(ms)}, ${time(ms)}`);
 
-/** A time as a field for date and time has it, in the plant's zone: 2026-01-06T12:03. */
+/** A time for a date-and-time field, in the plant's zone: 2026-01-06T12:03. */
 export const field = (ms) => new Intl.DateTimeFormat("sv-SE", { timeZone: zone, dateStyle: "short", timeStyle: "short" }).format(ms).replace(" ", "T");
 
 /** The time of such a field, ms since 1970. */
 export function ofField(text) {
   const wanted = Date.parse(`${text}Z`);
   let ms = wanted;
-  // The second round is for an offset that changes in between.
+  // The second round handles an offset that changes in between.
   for (let round = 0; round < 2; round += 1) ms += wanted - Date.parse(`${field(ms)}Z`);
   return ms;
 }
@@ -169,13 +169,13 @@ export function bytes(n) {
   return `${number(size)} ${units[at]}`;
 }
 
-/** Begins with a capital and ends with a full stop. */
+/** Adds a capital at the start and a full stop at the end. */
 export function sentence(text) {
   const whole = text.charAt(0).toUpperCase() + text.slice(1);
   return /[.!?]$/.test(whole) ? whole : `${whole}.`;
 }
 
-/** RFC 3339 text or a number of ms to ms; null where there is none. */
+/** RFC 3339 text or a number of ms to ms; null if missing. */
 export function millis(value) {
   if (value === null || value === undefined) return null;
   const ms = typeof value === "number" ? value : Date.parse(value);

@@ -1,4 +1,4 @@
-// Plant: groups of loops that share one oscillation, what makes it, who follows, and who belonged to it over time.
+// Plant view: groups of loops that share one oscillation, its cause, the followers, and the members over time.
 
 import * as api from "./api.js";
 import { fill, h, loading } from "./dom.js";
@@ -8,7 +8,7 @@ import { on } from "./store.js";
 const link = (name) => h("a", { href: `#/loop/${encodeURIComponent(name)}` }, name);
 const repaired = (source) => (source.kind === "loop" ? `${source.loop} is repaired` : "the source is repaired");
 
-/** What causes the oscillation, in a sentence. */
+/** The cause of the oscillation, in a sentence. */
 function headline(group) {
   const { source, same_record: twins } = group;
   if (twins?.length) return [twins.flatMap((name, k) => [k ? (k === twins.length - 1 ? " and " : ", ") : null, link(name)]), " have the same record, so no source is named: check their keys"];
@@ -37,7 +37,7 @@ function members(group) {
     h("tbody", null, group.judgements.map((judged) => member(judged, group)))));
 }
 
-/** Stretches of comparisons with the same members and source. */
+/** Runs of comparisons with the same members and source. */
 export function stretches(history) {
   const list = [];
   for (const { t_ms, members, source } of history) {
@@ -79,18 +79,18 @@ function none(compared_age_s) {
   return h("p", { class: "note" }, words);
 }
 
-/** Shows the groups; `?loop=NAME` in the address goes to the group of that loop. */
+/** Shows the groups; `?loop=NAME` in the address scrolls to the group of that loop. */
 export function show(root, { announce }) {
   const list = h("div", { class: "groups" });
   fill(root, h("h1", null, "Plant"), h("p", { class: "soft" }, "Loops that share an oscillation, and the loop that makes it. Repair the source first."), list);
   let wanted = new URLSearchParams(location.hash.split("?")[1]).get("loop");
   let before = null;
   const draw = ({ groups, compared_age_s }) => {
-    // What is worth saying: each comparison brings new figures of the same groups.
+    // Announce only real changes: each comparison brings new figures for the same groups.
     const now = JSON.stringify(groups.map(({ id, document: { members, source } }) => [id, [...members].sort(), source.kind, source.loop]));
     const told = before !== null && now !== before;
     before = now;
-    // Who reads a card stays there, with what is open in it.
+    // Keep the focus and the open parts of cards.
     const open = new Set([...list.querySelectorAll("details[open]")].map((d) => d.closest("article").dataset.group));
     const active = list.contains(document.activeElement) ? document.activeElement : null;
     const at = active?.closest("article")?.dataset.group;

@@ -1,8 +1,8 @@
-// The page's colours, as a canvas needs them: the CSS variables, read when something is drawn.
+// The page's colours for canvases: CSS variables, read at the time of drawing.
 
 const styles = getComputedStyle(document.documentElement);
 
-/** The colour that a CSS variable has now. */
+/** The current colour of a CSS variable. */
 export const ink = (name) => styles.getPropertyValue(name).trim() || "#888888";
 
 /** The same, with an opacity from 0 to 1. */

@@ -1,15 +1,15 @@
-// The page's link to the daemon: one stream, reconnects, says when it is stale, notices that the computer slept.
+// The page's link to the daemon: one stream, with reconnection, a notice when data are stale, and detection of sleep.
 
 import { stream } from "./api.js";
 
-/** Silence after which what is shown is called stale, ms; the daemon says something every 10 s. */
+/** Silence after which the display is called stale, ms; the daemon sends something every 10 s. */
 const STALE_AFTER_MS = 15_000;
-/** A timer that comes this late means that the computer slept, ms. */
+/** A timer that is late by this much means that the computer slept, ms. */
 const SLEPT_MS = 20_000;
 const LONGEST_PAUSE_MS = 15_000;
 const TICK_MS = 1000;
 
-/** States: `connecting` (first time), `live`, `lost` (no link; `why` says so in words). */
+/** States: `connecting` (first time), `live`, `lost` (no link; the reason is in `why`). */
 export class Live {
   constructor({ onEvent, onState }) {
     this.onEvent = onEvent;
@@ -28,7 +28,7 @@ export class Live {
     document.addEventListener("visibilitychange", () => !document.hidden && this.tick());
   }
 
-  /** Opens the stream; with a loop's name its samples and estimates come too. */
+  /** Opens the stream; with a loop's name also its samples and estimates. */
   open(loop = null) {
     if (this.close && this.loop === loop) return;
     this.loop = loop;

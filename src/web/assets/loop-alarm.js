@@ -7,7 +7,7 @@ import * as format from "./format.js";
 import { on } from "./store.js";
 import { EVENTS, METHODS, STATES } from "./words.js";
 
-/** Fills the section; returns what cleans up. */
+/** Fills the section; returns a cleanup function. */
 export function alarms(root, loop) {
   const row = (a) => h("tr", null,
     h("th", { scope: "row", class: "nowrap" }, format.dateTime(format.millis(a.changed))),

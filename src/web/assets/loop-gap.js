@@ -1,4 +1,4 @@
-// The gap report: where the model departs from the plant, which effect does it, how far it closes, what to test next.
+// The gap report: where the model departs from the plant, which effect causes it, how far it closes the gap, what to test next.
 
 import { runGap } from "./actions.js";
 import { figureCell, fill, h, problem } from "./dom.js";
@@ -9,7 +9,7 @@ import { plain } from "./words.js";
 const MOST_EFFECTS = 6;
 const STAGES = { valve: "in the valve", process: "in the process", disturbance: "external disturbance", measurement: "in the measurement", operation: "in the operation of the loop", cannot_tell: "unknown", none: "none" };
 
-/** Switches of an effect, which say nothing as numbers. */
+/** Switches of an effect, which are not meaningful as numbers. */
 const SWITCHES = new Set(["straight", "upper", "of_stem"]);
 
 const item = (term, value) => h("div", null, h("dt", null, term), h("dd", null, value));
@@ -37,7 +37,7 @@ function effects(list, pv, asks) {
     h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, e.own_cycle ? "the valve’s own cycle" : plain(e.id), h("small", { class: "soft asks" }, size(e), asks && e.separated_by ? `distinguished by ${e.separated_by}` : "")), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), figureCell(format.parts(e.closed_pct, e.closed_interval)), h("td", { class: "number" }, format.number(e.gap_after)))))));
 }
 
-/** What PV is made of, and what limits that table. */
+/** The shares of PV's variance, and the limits of that table. */
 function madeOf({ budget, tellable }, pv) {
   const table = budget && h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "What PV is made of" }, h("table", { class: "table" },
     h("caption", { class: "soft" }, `What PV is made of: ${budget.head}.`),
@@ -68,7 +68,7 @@ function report(gap, words, row) {
   ];
 }
 
-/** Fills the section with every document that comes. */
+/** Fills the section from every new document. */
 export function gap(root, loop) {
   const body = h("div");
   const status = h("div", { class: "row", role: "status" });

@@ -1,4 +1,4 @@
-// The top of a loop's page: verdict, how sure, what to do, the main numbers, what can be done and saved.
+// The head of a loop's page: verdict, certainty, what to do, the main numbers, commands and downloads.
 
 import * as api from "./api.js";
 import { buttons, said } from "./actions.js";
@@ -13,7 +13,7 @@ function facts(row, estimate, words) {
   if (!estimate) return null;
   const unit = opUnit(row);
   const level = Math.round((estimate.interval_level ?? 0.9) * 100);
-  // Sizes are told in % of travel where OP's range is known.
+  // Sizes are shown in % of travel if OP's range is known.
   const [low, high] = estimate.op_range ?? [0, 100];
   const told = (v) => (v === null || v === undefined ? v : (100 * v) / Math.abs(high - low));
   const sizes = estimate.op_range ? "% of travel" : unit;
@@ -38,7 +38,7 @@ function todo(words, alarm) {
   return h("div", { class: "todo" }, h("p", null, h("b", null, "What to do: "), prose(format.sentence(text))), words?.test ? h("details", { class: "test" }, h("summary", null, "Bump test"), h("ol", null, words.test.split("\n").map((step) => h("li", null, step.replace(/^\d+\. /, ""))))) : null);
 }
 
-// The verdict's own sentence, where it says more than the title, and the size.
+// The verdict's sentence, if it says more than the title, and the size.
 function lead(words, row) {
   const verdict = words?.verdict && words.verdict !== row.status ? `${row.stale ? "The last window" : "The newest window"}: ${words.verdict}` : null;
   const list = [verdict, words?.size].filter(Boolean);
@@ -57,7 +57,7 @@ function downloads(loop) {
     to("/sheet", "Evidence sheet", { target: "_blank", rel: "noopener" }));
 }
 
-/** Draws the head where something changed. */
+/** Redraws the head if something changed. */
 export function head(root, loop) {
   const { estimate, alarm, words, row: first } = loop.document;
   const row = store.rows.get(loop.name) ?? first;

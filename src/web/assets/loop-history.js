@@ -8,7 +8,7 @@ import { on, store } from "./store.js";
 import { opUnit } from "./words.js";
 
 const KINDS = { repaired: "no longer detected", better: "better since", worse: "worse since" };
-/** Pause between two looks at the recordings that nobody asked for, ms. */
+/** Pause between two automatic loads from the recordings, ms. */
 const CALM_MS = 30_000;
 const PARTS = ["s", "fs", "fd"];
 
@@ -44,7 +44,7 @@ function contradicting(over, unit) {
     h("ul", null, over.contradicting.map((c) => h("li", null, `${format.dateTime(c.end_ms)}: s ${format.estimate(c.s, c.s_interval, unit)}; ${c.why}`))));
 }
 
-/** Fills the section; returns what cleans up. */
+/** Fills the section; returns a cleanup function. */
 export function overTime(root, loop) {
   let charts = [];
   let over = null;
@@ -67,7 +67,7 @@ export function overTime(root, loop) {
     const has = (key) => data[key].some((v) => v !== null);
     const shape = JSON.stringify([windows.length > 0, ...["s", "fs", "p"].map(has), history.complete]);
     if (shape === drawn && charts.length) {
-      // The same charts with newer windows: what the reader zoomed into stays.
+      // The same charts with newer windows, so keep the reader's zoom.
       fill(said, words());
       charts.forEach((c) => c.setData(data, { keepView: true }));
       return;

@@ -1,4 +1,4 @@
-// What a repair buys: the closed loop simulated as it is, with a free valve, and with half the gain.
+// Benefit of a repair: the closed loop simulated as it is, with a free valve, and with half the gain.
 
 import * as api from "./api.js";
 import { figureCell, fill, h, loading } from "./dom.js";
@@ -6,14 +6,14 @@ import * as format from "./format.js";
 import { store } from "./store.js";
 import { opUnit } from "./words.js";
 
-/** Pause between two simulations that nobody asked for, ms. */
+/** Pause between two automatic simulations, ms. */
 const CALM_MS = 30_000;
 
 const CASES = [["now", "now"], ["repaired", "valve repaired"], ["half_gain", "half the gain instead"]];
 
 const oscillates = (value) => (value === null || value === undefined ? "–" : value ? "yes" : "no");
 
-/** Fills the section; returns what cleans up. */
+/** Fills the section; returns a cleanup function. */
 export function repair(root, loop) {
   const rows = () => {
     const row = store.rows.get(loop.name) ?? loop.document?.row;
@@ -26,7 +26,7 @@ export function repair(root, loop) {
       ["Reversals a day", "reversals_per_day", ""],
     ];
   };
-  // A range far beyond what the loop does now has no meaning.
+  // A range far beyond the loop's present behaviour is meaningless.
   const vague = (item, now) => now && item.interval[1] > 3 * Math.max(now.value, item.value);
   // The same digits as in the sentences above the table.
   const told = ({ value, interval: [low, high] }) => {
@@ -44,7 +44,7 @@ export function repair(root, loop) {
     answer.assumptions?.length ? h("details", null, h("summary", null, "Assumptions"), h("ul", null, answer.assumptions.map((t) => h("li", null, t)))) : null);
   const part = loading(root, () => api.get(loop.path("/repair")), show, { lines: 5, calm_ms: CALM_MS });
   let window = null;
-  // Each window has its own answer; one without a fit has none, and is not asked.
+  // Each window has a separate answer; one without a fit has none and is not requested.
   loop.onDocument(({ estimate }) => {
     const name = estimate?.window?.end_ns ?? 0;
     if (name === window) return;

@@ -9,13 +9,13 @@ import { opUnit } from "./words.js";
 
 const RANGES = [["window", "Live window", null], ["1h", "1 h", 3600], ["8h", "8 h", 28800], ["1d", "1 d", 86400], ["7d", "7 d", 604800], ["30d", "30 d", 2592000]];
 const POINTS = 1600;
-/** A loop that has no window yet is drawn over so much time, ms. */
+/** Time range of the chart for a loop without a window, ms. */
 const LEAST_SPAN_MS = 600_000;
-/** Samples of the stream that are kept for a window that is on its way. */
+/** Samples of the stream that are kept while a window is being loaded. */
 const KEPT = 2000;
-/** Sampling times without a sample that count as a data gap. */
+/** Missing sampling times that count as a data gap. */
 const HOLE_STEPS = 5;
-/** Quiet time after a zoom before finer data are asked for, ms. */
+/** Pause after a zoom before finer data are requested, ms. */
 const SETTLE_MS = 350;
 
 const COLUMNS = ["pv", "sp", "pv_fit", "op", "valve", "mv"];
@@ -65,7 +65,7 @@ class Trend {
     this.load(true);
   }
 
-  /** End of the ranges, ms: now, or the newest sample where plant time runs ahead of the clock. */
+  /** End of the ranges, ms: now, or the newest sample if plant time is ahead of the clock. */
   newest() {
     const row = store.rows.get(this.loop.name);
     return Math.max(Date.now() + (store.skew_ms ?? 0), row?.window_end_ms ?? 0, this.last ?? 0);
@@ -77,7 +77,7 @@ class Trend {
     await this.fetch(path, !whole);
   }
 
-  /** Finer data where the reader looks, with room on both sides for panning. */
+  /** Loads finer data for the visible range, with room on both sides for panning. */
   refine(from, to) {
     clearTimeout(this.settle);
     if (!this.range[2]) return;
@@ -94,7 +94,7 @@ class Trend {
     fill(this.note, this.data ? "loading …" : "");
     try {
       const answer = await api.get(this.loop.path(path));
-      // An answer counts unless a later one is shown already, or another range was chosen.
+      // Use the answer unless a later one is already shown or another range was chosen.
       if (this.ended || mine < (this.taken ?? 0) || range !== this.range) return;
       this.taken = mine;
       fill(this.failed);
@@ -124,14 +124,14 @@ class Trend {
     for (const chart of [this.pv, this.op]) chart.setData(columns, { keepView });
   }
 
-  /** New samples of the stream go on at the right; as many leave at the left. */
+  /** Appends new samples on the right and removes as many on the left. */
   append(samples) {
     this.last = Math.max(this.last ?? 0, samples.t_ms[samples.t_ms.length - 1] ?? 0);
     this.keep(samples);
     if (this.data && !this.range[2]) this.grow(samples);
   }
 
-  /** Keeps the newest samples: the window's answer may come later than those that follow it. */
+  /** Keeps the newest samples, since the window may be loaded after samples that follow it. */
   keep(samples) {
     this.kept.push(samples);
     let n = this.kept.reduce((sum, s) => sum + s.t_ms.length, 0);
@@ -158,7 +158,7 @@ class Trend {
     this.draw(true);
   }
 
-  /** Lines do not cross what is missing. */
+  /** Interrupts lines where data are missing. */
   hole(t) {
     this.data.x.push(t);
     for (const c of COLUMNS) this.data[c]?.push(null);
@@ -209,7 +209,7 @@ class Phase {
   }
 }
 
-/** Fills the section; returns what cleans up. */
+/** Fills the section; returns a cleanup function. */
 export function trend(root, loop) {
   const view = new Trend(root, loop);
   return () => view.end();

@@ -1,4 +1,4 @@
-// Why: the sentences behind the verdict, the limits of the window, the indicators and how they add up, the model.
+// Why: the sentences behind the verdict, the limits of the window, the indicators and their sum, the model.
 
 import { fill, h } from "./dom.js";
 import * as format from "./format.js";
@@ -25,7 +25,7 @@ function indicators(list, estimate) {
     h("tbody", null, rows))), sum);
 }
 
-/** What the shown probability assumes. Documents of earlier builds have the calibrated one alone. */
+/** The assumption behind the displayed probability. Documents of earlier builds have only the calibrated one. */
 const assumed = (e) => (e.prevalence === undefined ? "" : `Where ${format.percent(e.prevalence)} stick, as is assumed for this plant, it is ${format.probability(e.p_stiction)}. `);
 
 function model(e, row) {
@@ -46,7 +46,7 @@ function model(e, row) {
     c ? item("Read from the record", `explains ${format.percent(c.r2)} of OP’s moves`) : null)];
 }
 
-/** Fills the section with every document that comes. */
+/** Fills the section from every new document. */
 export function why(root, loop) {
   fill(root, h("p", { class: "soft" }, "…"));
   loop.onDocument(({ words, estimate, row }) => {

@@ -1,4 +1,4 @@
-// One loop: what is wrong, how sure, what to do, and everything that shows why.
+// One loop: what is wrong, how certain it is, what to do, and the evidence.
 
 import * as api from "./api.js";
 import { fill, h, loading, problem, single, skeleton, whenNear } from "./dom.js";
@@ -25,7 +25,7 @@ const SECTIONS = [
 /** Sections that load when they come near the screen. */
 const LATE = new Set(["history", "repair", "pictures", "alarms"]);
 
-/** Shows a loop; returns what cleans up. */
+/** Shows a loop; returns a cleanup function. */
 export function show(root, { name, live, announce }) {
   const ends = [];
   const loop = { name, path: (rest) => api.loopPath(name, rest), announce, document: null, listeners: [] };
@@ -33,7 +33,7 @@ export function show(root, { name, live, announce }) {
   const parts = Object.fromEntries(SECTIONS.map(([id, title]) => [id, section(id, title)]));
   document.title = `${name} · stictiond`;
   const late = {};
-  // What loads above it may move the section away before it was seen.
+  // Sections that load above it may move the section before it is seen.
   const jump = (id) => () => {
     late[id]?.now();
     parts[id].section.scrollIntoView({ behavior: matchMedia("(prefers-reduced-motion: reduce)").matches ? "auto" : "smooth" });
@@ -77,7 +77,7 @@ export function show(root, { name, live, announce }) {
   near("alarms", () => ends.push(alarms(parts.alarms.body, loop)));
   near("pictures", () => ends.push(drawings(parts.pictures.body, loop)));
 
-  // A new window changes nearly everything; the stream says when one is there.
+  // A new window changes nearly everything; the stream announces it.
   const mine = (document) => document.loop === name && reload();
   ends.push(on("estimate", mine), on("alarm", mine), on("gap", mine), on("back", () => reload(true)));
   ends.push(on("rows", (names) => (names === null || names.has(name)) && store.rows.has(name) && loop.document && head(headRoot, loop)));
@@ -88,7 +88,7 @@ export function show(root, { name, live, announce }) {
   return () => ends.forEach((end) => end?.());
 }
 
-// Pictures take the program seconds to draw: they stay until the reader asks for those of a newer window.
+// Pictures take the program seconds to draw, so they stay until the reader asks for those of a newer window.
 function drawings(root, loop) {
   const list = h("div");
   const renew = h("button", { class: "button", type: "button", hidden: true, onclick: () => part.run(true) }, "Newer window available: redraw");

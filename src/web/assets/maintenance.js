@@ -1,4 +1,4 @@
-// Maintenance: which valves to work on first as a table, the sentences of each on click; and whether earlier work helped.
+// Maintenance: which valves to work on first, as a table with details on click; and whether earlier work helped.
 
 import * as api from "./api.js";
 import { figureCell, fill, h, loading, prose } from "./dom.js";
@@ -6,13 +6,13 @@ import * as format from "./format.js";
 import { on } from "./store.js";
 import { METHODS } from "./words.js";
 
-/** Pause between two looks at the daemon's list while rows change or figures are computed, ms. */
+/** Pause between two loads of the daemon's list while rows change or figures are computed, ms. */
 const PAUSE_MS = 10000;
 const NO_AREA = "No area";
 
 const link = (name) => h("a", { href: `#/loop/${encodeURIComponent(name)}` }, name);
 
-/** What is listed, in groups: one of all by rank, or one for each area, the area with the first rank first. */
+/** The list in groups: a single one by rank, or one for each area, ordered by the best rank. */
 export function groups(work, byArea) {
   if (!byArea) return work.length ? [{ title: null, work }] : [];
   const areas = new Map();
@@ -25,7 +25,7 @@ export function groups(work, byArea) {
 
 const COLUMNS = ["rank", "valve", "s", "stiction", "benefit of a repair", "next step"];
 
-/** A valve's row, and its sentences behind it. */
+/** A valve's row, and its sentences below it. */
 function entry(item) {
   const place = [item.equipment, item.area, item.alarm ? "alarm active" : null].filter(Boolean).join(", ");
   const line = (words, text) => h("p", null, h("b", null, `${words}: `), prose(format.sentence(text)));
@@ -71,7 +71,7 @@ function reviewedTable(reviewed) {
       h("tbody", null, reviewed.map(reviewedRow))))];
 }
 
-/** Shows the list; returns what cleans up. */
+/** Shows the list; returns a cleanup function. */
 export function show(root) {
   let answer = null;
   let byArea = false;

@@ -1,4 +1,4 @@
-// Data: the share of loops that can be judged, and what keeps the others from it.
+// Data view: the share of loops that can be judged, and the obstacles of the others.
 
 import * as api from "./api.js";
 import { line } from "./charts.js";
@@ -6,7 +6,7 @@ import { fill, h, loading } from "./dom.js";
 import * as format from "./format.js";
 import { on } from "./store.js";
 
-/** Pause between two looks at the daemon's list while rows change, ms. */
+/** Pause between two loads of the daemon's list while rows change, ms. */
 const PAUSE_MS = 10000;
 
 const KINDS = {
@@ -40,7 +40,7 @@ function table(obstacles) {
     h("tbody", null, obstacles.map(row))));
 }
 
-/** The chart of the share over time, with its numbers as a table; nothing before there are two points. */
+/** The chart of the share over time, with its numbers as a table; empty until there are two points. */
 function shareOverTime(root) {
   let chart = null;
   return {
@@ -53,7 +53,7 @@ function shareOverTime(root) {
   };
 }
 
-/** Shows the list; returns what cleans up. */
+/** Shows the list; returns a cleanup function. */
 export function show(root) {
   const figure = h("p", { role: "status" });
   const list = h("div");

@@ -1,4 +1,4 @@
-// Overview: is anything wrong, which loops, how sure.
+// Overview: whether anything is wrong, in which loops, and how certain it is.
 
 import { fill, h, skeleton } from "./dom.js";
 import * as format from "./format.js";
@@ -6,11 +6,11 @@ import { on, store } from "./store.js";
 import { Tiles } from "./tiles.js";
 import { NE107, VERDICTS, neOf, symbol, verdictOf } from "./words.js";
 
-/** Pause between two orders of the tiles while rows change, ms: what is being read should not jump. */
+/** Pause between two sortings of the tiles while rows change, ms, so that tiles do not jump while being read. */
 const CALM_MS = 4000;
-/** Pause after loops came or went, ms. */
+/** Pause after loops have appeared or left, ms. */
 const SOON_MS = 150;
-/** Pause in typing after which the filter acts, ms. */
+/** Pause in typing after which the filter is applied, ms. */
 const TYPING_MS = 100;
 const NO_AREA = "No area";
 
@@ -32,7 +32,7 @@ const SORTS = {
   name: { label: "name", of: () => 0 },
 };
 
-// Filters live in the address, so that Back and a bookmark keep them.
+// Filters are kept in the address, for the Back button and bookmarks.
 function readState() {
   const q = new URLSearchParams(location.hash.split("?")[1] ?? "");
   const list = (key) => new Set((q.get(key) ?? "").split(",").filter(Boolean));
@@ -40,7 +40,7 @@ function readState() {
 }
 
 function writeState(s) {
-  // Who followed a link while the last letter's pause ran is on the way there.
+  // The user may have followed a link during the pause after the last letter.
   if (!/^(#(\/(\?.*)?)?)?$/.test(location.hash)) return;
   const q = new URLSearchParams();
   if (s.text) q.set("q", s.text);
@@ -70,7 +70,7 @@ function grouped(rows, s) {
     areas.get(area).push(k);
   }
   if (s.flat || (areas.size === 1 && areas.has(NO_AREA))) return [{ title: null, names: names(keyed) }];
-  // The area of the loop that comes first comes first.
+  // The area of the first loop comes first.
   const groups = [...areas].map(([title, list]) => ({ title, first: list[0].key, names: names(list), note: noteOf(list.map((k) => k.row)) }));
   return groups.sort((a, b) => a.first - b.first || order.compare(a.title, b.title));
 }
@@ -80,7 +80,7 @@ function noteOf(rows) {
   return `${format.count(rows.length, "loop")}${need ? `, ${need} to maintain` : ""}`;
 }
 
-// What to do where nothing has come in yet.
+// What to do if no data have come yet.
 function waiting() {
   const prefix = store.site?.prefix ?? "PREFIX";
   return h("div", { class: "note" },
@@ -144,13 +144,13 @@ class Overview {
   rows(names) {
     this.tiles.patch(names ?? store.rows.keys());
     if (names !== null || !this.tiles.order) return this.draw(names === null);
-    // Loops came or went. Many rows come in parts: wait for the last one.
+    // Loops have appeared or left. Many rows come in parts: wait for the last one.
     clearTimeout(this.soon);
     this.soon = setTimeout(() => this.draw(true), SOON_MS);
     return undefined;
   }
 
-  /** Draws; the order of the tiles follows at once if asked, else after a pause. */
+  /** Draws; tiles are sorted at once if asked, else after a pause. */
   draw(now = false) {
     if (!store.loaded) {
       fill(this.head, skeleton(2));
@@ -238,7 +238,7 @@ class Overview {
   }
 }
 
-/** Shows the overview; returns what cleans up. */
+/** Shows the overview; returns a cleanup function. */
 export function show(root) {
   const view = new Overview(root);
   return () => view.destroy();

@@ -4,7 +4,7 @@
 import { fill, h } from "./dom.js";
 import { number } from "./format.js";
 
-/** Least size of a box that zooms, picture units. */
+/** Smallest box that zooms, picture units. */
 const LEAST_BOX = 30;
 
 const list = (text) => text.trim().split(/\s+/).map(Number);
@@ -28,7 +28,7 @@ function cellWords(names, cells, x, y) {
 
 let box = null;
 
-/** Makes a picture tell its values. */
+/** Adds values under the pointer to a picture. */
 export function readable(svg) {
   const panels = (svg.dataset.axes ?? "").split(";").filter(Boolean).map(list);
   if (!panels.length) return;
@@ -51,7 +51,7 @@ export function readable(svg) {
     const text = words(place(svg, event));
     if (!text) return hide();
     box ??= h("div", { class: "value-box", "aria-hidden": "true" });
-    // In full screen only what is inside shows.
+    // In full-screen mode only the contents of that element are visible.
     const holder = document.fullscreenElement ?? document.body;
     if (box.parentNode !== holder) holder.append(box);
     fill(box, text).hidden = false;

@@ -1,4 +1,4 @@
-// The server's pictures, put into the page so that they take its colours in the dark and print sharp.
+// The server's pictures, inserted inline so that they take the page's colours in dark mode and print sharply.
 
 import * as api from "./api.js";
 import { fill, h, problem, skeleton, whenNear } from "./dom.js";
@@ -7,7 +7,7 @@ import { readable } from "./picture-values.js";
 const parser = new DOMParser();
 const BARRED = "script, foreignObject, style, iframe, image, a, animate, set";
 
-// A picture comes from our own server, but what it shows carries names from outside: nothing that acts is let in.
+// A picture comes from our own server but contains names from outside, so active content is removed.
 function clean(text) {
   const named = text.includes("xmlns=") ? text : text.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"');
   const parsed = parser.parseFromString(named, "image/svg+xml").documentElement;
@@ -21,7 +21,7 @@ function clean(text) {
   return document.importNode(parsed, true);
 }
 
-// The picture's text: it comes with the list, or has an address of its own.
+// The picture's text, which is in the list or has a separate address.
 async function source(picture) {
   if (picture.svg) return picture.svg;
   const response = await fetch(api.url(picture.url), { cache: "no-cache" });
@@ -53,7 +53,7 @@ function figure(picture) {
   return node;
 }
 
-/** Shows pictures `{ id, title, caption, wide, svg or url }`, each made when it comes near the screen. */
+/** Shows pictures `{ id, title, caption, wide, svg or url }`, each drawn when it comes near the screen. */
 export function show(root, pictures) {
   fill(root, pictures.length ? h("div", { class: "pictures" }, pictures.map(figure)) : h("p", { class: "soft" }, "No pictures: no model was fitted to this window."));
 }

@@ -1,11 +1,11 @@
-// A small line of the recent windows' probability.
+// A small chart of the recent windows' probability.
 
 import { svg } from "./dom.js";
 
 const WIDTH = 92;
 const HEIGHT = 26;
 
-/** p of the recent windows, from 0 to 1 with a line at one half; the last one is a dot. */
+/** p of the recent windows, from 0 to 1, with a line at one half; a dot marks the last one. */
 export function spark(recent) {
   const picture = svg("svg", { class: "spark", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, width: WIDTH, height: HEIGHT, "aria-hidden": "true" });
   const values = recent.map((w) => w.p);

@@ -1,10 +1,10 @@
-// What the page knows: the site, a row per loop, and who wants to hear of changes.
+// The page's data: the site, a row per loop, and listeners to changes.
 
 const listeners = new Map();
 
 export const store = {
   site: null,
-  /** The plant in sentences, as the daemon says it. */
+  /** The daemon's sentences about the plant. */
   headline: null,
   /** Rows by name. */
   rows: new Map(),
@@ -23,7 +23,7 @@ export function tell(name, what) {
   for (const listener of [...(listeners.get(name) ?? [])]) listener(what);
 }
 
-/** Takes a message of the stream. */
+/** Processes a message of the stream. */
 export function take(name, data) {
   if (name === "site") {
     store.site = data;

@@ -1,12 +1,12 @@
-// The line under the header that is always in sight: link, age of the data, data gaps, losses, faults.
+// The line under the header that is always visible: link, age of the data, data gaps, losses, faults.
 
 import { fill, h } from "./dom.js";
 import * as format from "./format.js";
 import { on, store } from "./store.js";
 
-/** Difference of clocks that is worth a word, s. */
+/** Difference between the clocks that is worth a note, s. */
 const OFF_S = 60;
-/** Age from which data that keep coming are not fresh, s. */
+/** Age above which data that keep coming are not called fresh, s. */
 const PLAYED_S = 3600;
 
 const item = (state, name, words, title) => h("span", { class: `health ${state}`, title }, h("span", { class: "dot", "aria-hidden": "true" }), h("b", null, name), " ", words);
@@ -19,14 +19,14 @@ function link(live) {
   return item("bad", "Stale", `${since}, reconnecting (${live.why})`);
 }
 
-// Ages come with the site: a loop's row is not sent again for its age alone.
+// The age comes with the site, since a loop's row is not sent again only for its age.
 function age({ silent_loops: silent, oldest_loop: name, oldest_age_s: oldest }) {
   if (oldest === null || oldest === undefined) return item("wait", "Data", "none yet");
   const link = name && h("a", { href: `#/loop/${encodeURIComponent(name)}` }, name);
   if (silent) return item("warn", "Data", [`${format.count(silent, "loop")} silent; longest `, link, oldest > 0 ? ` for ${format.duration(oldest)}` : ""]);
   if (oldest < -OFF_S) return item("good", "Data", `fresh${store.site?.note ? "" : `; plant time is ${format.duration(-oldest)} ahead of the clock`}`);
   const words = `at most ${format.duration(Math.max(1, Math.ceil(oldest)))} old`;
-  // Data that keep coming and are hours old are played back, or late: no reason for a green light.
+  // Data that keep coming but are hours old are played back or late, which does not deserve a green light.
   return oldest > PLAYED_S ? item("wait", "Data", `${words}: played back, or late`) : item("good", "Data", words);
 }
 
@@ -72,7 +72,7 @@ export function strip(root, live) {
     while (inside.children.length > all.length) inside.lastChild.remove();
     all.forEach((node, k) => {
       const old = inside.children[k];
-      // Only what changed is replaced: a link that has the focus keeps it.
+      // Replace only what changed, so that a focused link keeps the focus.
       if (!old) inside.append(node);
       else if (!old.isEqualNode(node)) old.replaceWith(node);
     });
@@ -84,7 +84,7 @@ export function strip(root, live) {
   const soon = () => {
     if (!draw.waiting) draw.waiting = setTimeout(() => { draw.waiting = null; draw(); }, 100);
   };
-  // What sticks below this line has to know how high it is.
+  // Elements that stick below this line need its height.
   new ResizeObserver(() => document.documentElement.style.setProperty("--head", `${Math.floor(root.getBoundingClientRect().bottom)}px`)).observe(root);
   for (const name of ["site", "link"]) on(name, soon);
   setInterval(soon, 1000);

@@ -1,4 +1,4 @@
-// Light, dark, or as the system says; the choice is remembered.
+// Light, dark, or the system's choice; the setting is remembered.
 
 import { fill } from "./dom.js";
 
@@ -6,7 +6,7 @@ const KEPT = "stictiond.theme";
 const NEXT = { system: "light", light: "dark", dark: "system" };
 const SIGNS = { system: "◐", light: "☀", dark: "☾" };
 
-/** Makes a button step through the themes; `changed` is called after every change. */
+/** Makes a button step through the themes; calls `changed` after every change. */
 export function themeButton(button, changed) {
   const root = document.documentElement;
   const now = () => root.dataset.theme ?? "system";

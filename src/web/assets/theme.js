@@ -1,4 +1,4 @@
-// Runs before the first paint: the reader's choice of light or dark, else what the system says.
+// Runs before the first paint: sets the reader's light or dark theme, else the system's.
 "use strict";
 (() => {
   const kept = localStorage.getItem("stictiond.theme");

@@ -1,14 +1,14 @@
-// The tiles: every loop has its place in the list from the start; what is inside is made when it comes near the screen.
-// Tiles stand in blocks, so that the browser watches and skips a hundred blocks, not thousands of tiles.
+// The tiles. Every loop has its place in the list from the start; the contents are created when they come near the screen.
+// Tiles are grouped in blocks, so that the browser watches and skips a hundred blocks instead of thousands of tiles.
 
 import { fill, h } from "./dom.js";
 import * as format from "./format.js";
 import { spark } from "./spark.js";
 import { NE107, neOf, symbol } from "./words.js";
 
-/** Tiles of a block; every number of columns up to six divides it. */
+/** Tiles in a block; divisible by every number of columns up to six. */
 const BLOCK = 60;
-/** Height of a tile, least width and the space between two, px, as in the style sheet; a line is as wide as the list. */
+/** Height, least width and spacing of tiles, px, as in the style sheet; a line is as wide as the list. */
 const SIZES = { tiles: { height: 152, space: 8, least: 238 }, lines: { height: 34, space: 2, least: Infinity } };
 
 const TREND = { rising: "↗", falling: "↘", steady: "→" };
@@ -18,7 +18,7 @@ function numbers(row) {
   return [h("span", null, row.probability), row.size ? h("span", null, h("i", null, "s"), ` ${row.size}`) : null];
 }
 
-// A follower's cause says more than its own verdict.
+// A follower's cause is more informative than its own verdict.
 const wordsOf = (row) => (row.driven ? `${row.driven}; ${row.status}` : row.status);
 
 function inside(row) {
@@ -37,14 +37,14 @@ function inside(row) {
   ];
 }
 
-// A silent loop's row does not come again, so its age counts on here.
+// A silent loop's row is not sent again, so its age is advanced here.
 function ageWords(row) {
   if (row.data_age_s === null) return "no data";
   const age = row.data_age_s + (row.silent ? (Date.now() - row.taken_ms) / 1000 : 0);
   return age < 0 ? "live" : `${format.duration(Math.max(1, Math.ceil(age)))} old`;
 }
 
-// What a screen reader says of a tile, with pauses where the eye sees lines.
+// Text of a tile for screen readers, with pauses where there are lines.
 function spoken(row) {
   const parts = [row.name, NE107[neOf(row)].name, wordsOf(row)];
   if (row.unacknowledged) parts.push("alarm unacknowledged");
@@ -95,7 +95,7 @@ export class Tiles {
     fill(tile.a, inside(row));
   }
 
-  /** Draws the changed ones again that are near the screen; the others follow when they come near. */
+  /** Redraws the changed tiles near the screen; the others follow when they come near. */
   patch(names) {
     for (const name of names) {
       const tile = this.byName.get(name);
@@ -103,7 +103,7 @@ export class Tiles {
     }
   }
 
-  /** Puts the tiles in order: groups `{ title, names, note }`, without a title for one plain list. */
+  /** Sorts the tiles into groups `{ title, names, note }`; a single plain list has no title. */
   arrange(groups) {
     const order = groups.map((g) => `${g.title}\n${g.names.join("\n")}`).join("\n\n");
     if (order === this.order) {
@@ -135,7 +135,7 @@ export class Tiles {
     return lists;
   }
 
-  /** Tells the browser how high each block is, so that it need not look inside those out of sight. */
+  /** Tells the browser the height of each block, so that it can skip those that are not visible. */
   measure() {
     const { height, space, least } = SIZES[this.root.classList.contains("lines") ? "lines" : "tiles"];
     const columns = Math.max(1, Math.floor((this.root.clientWidth + space) / (least + space)));
@@ -144,7 +144,7 @@ export class Tiles {
     }
   }
 
-  /** One tile takes part in the order of Tab; arrows reach the others. */
+  /** Only one tile is in the Tab order; arrows reach the others. */
   keep(a) {
     if (!a) return;
     const before = this.byName.get(this.here)?.a;
@@ -171,7 +171,7 @@ export class Tiles {
   }
 }
 
-// The tile under (or over) this one: the first on another line whose left edge is not left of it.
+// The tile below (or above) this one: the first on another line with its left edge not to the left of it.
 function below(all, at, step) {
   const from = all[at].getBoundingClientRect();
   let best = null;

@@ -7,7 +7,7 @@ export const VERDICTS = { ...LISTED, none: { short: "no window yet", words: "no 
 
 export const verdictOf = (row) => row.verdict ?? "none";
 
-/** NAMUR NE 107, most pressing first, and what has no answer yet. */
+/** NAMUR NE 107, most urgent first, and loops without an answer. */
 export const NE107 = { ...SIGNS, wait: { name: "no answer", says: "no window yet, or none that can answer" } };
 
 export const neOf = (row) => row.ne107 ?? "wait";
@@ -21,7 +21,7 @@ const SHAPES = {
   wait: [["circle", { cx: 12, cy: 12, r: 9.5 }], 0],
 };
 
-/** The symbol: a shape of its own for every status, with its letter; a word is always beside it. */
+/** The symbol: a different shape for every status, with its letter; it always appears with a word. */
 export function symbol(key, size = 22) {
   const [[tag, props], baseline] = SHAPES[key] ?? SHAPES.wait;
   const inner = [svg(tag, { ...props, class: "shape" })];
@@ -90,7 +90,7 @@ const GATES = {
   step_or_upset: "a step or an upset, kept",
 };
 
-/** A name with underscores as words; what is not known is shown as it is. */
+/** A name with underscores as words; unknown names are shown as they are. */
 export const plain = (name) => GATES[name] ?? String(name ?? "").replaceAll("_", " ");
 
 /** Unit of OP. */

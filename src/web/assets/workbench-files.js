@@ -1,6 +1,6 @@
-// Files of the workbench: a drop zone, a picker, what is open, which loop is looked at.
+// Files of the workbench: drop zone, picker, the open files, and the chosen loop.
 
-/** Loops that are listed at once; a search finds the others. */
+/** Most loops listed; a search finds the others. */
 const LISTED = 60;
 
 const OPTION_WORDS = {
@@ -14,7 +14,7 @@ const OPTION_WORDS = {
   quality: ["Quality codes", "ua, classic, percent, flag or ignore"],
 };
 
-/** What a loop is called: its tag where the file gives one, with the file's name for it. */
+/** Name of a loop: its tag if the file has one, with the file's name for it. */
 export const called = (one) => (one.tag && one.tag !== one.name ? `${one.tag} (${one.name})` : one.name);
 
 /** The panel of files. `on`: `chosen(file, loop)`, `changed(files)`. */
@@ -56,7 +56,7 @@ export class Files {
     for (const one of this.coming) one.control.abort();
   }
 
-  /** Asks which files are open. */
+  /** Loads the list of open files. */
   async load() {
     this.files = (await this.api.get("/workbench/files")).files;
     this.draw();
@@ -103,7 +103,7 @@ export class Files {
     }
   }
 
-  /** What could not be read stays in sight, with the way to say how it is meant. */
+  /** Keeps an unreadable file on display, with options for reading it. */
   refused(blob, options, error) {
     const { h } = this;
     const node = h("div", { class: "problem" }, error.message.startsWith(`${blob.name}: `) ? error.message : `${blob.name}: ${error.message}`, " ");
@@ -142,7 +142,7 @@ export class Files {
   }
 
   async close(file) {
-    // First nothing asks for it any more.
+    // First make sure that nothing requests it any longer.
     if (this.chosen.file === file.id) this.on.chosen(null, null);
     try {
       this.files = (await this.api.del(`/workbench/files/${file.id}`)).files;

@@ -1,34 +1,34 @@
-// The choices as a form. Every change is one step of the history.
+// The options as a form. Every change is one step of the history.
 
 import { FIELDS } from "./workbench-help.js";
 
 let serial = 0;
 
-/** Choices on which the form's shape depends. */
+/** Options that determine the form's layout. */
 const SHAPING = ["kind", "solver", "downsample", "without"];
 
-/** The form of choices. `runs()` lists runs whose estimate can be a base. */
+/** The form of options. `runs()` lists runs whose estimate can be a base. */
 export class Form {
   constructor(root, { dom }, choices, options, runs) {
     Object.assign(this, { root, choices, options, runs, h: dom.h, fill: dom.fill });
     this.draw();
   }
 
-  /** Takes what a person chose here. */
+  /** Takes a change that the user made here. */
   set(patch, words) {
     this.own = true;
     this.choices.change(patch, words);
     this.own = false;
   }
 
-  /** Follows a change: what was typed here stands already, unless the form's shape depends on it. */
+  /** Follows a change. An entry made here is displayed already, unless the form's layout depends on it. */
   update(now, before) {
     if (!this.own) this.draw();
-    // Later, when the focus has gone where it was going.
+    // Later, after the focus has moved.
     else if (SHAPING.some((key) => now[key] !== before[key])) setTimeout(() => this.draw());
   }
 
-  /** Runs that can be a base have come or gone. */
+  /** The runs that can be a base have changed. */
   updateBases() {
     const bases = JSON.stringify(this.runs());
     if (this.choices.now.kind === "gap" && bases !== this.bases) this.draw();
@@ -143,10 +143,10 @@ export class Form {
   }
 }
 
-// One for every one is no downsampling.
+// A ratio of 1 would not be downsampling.
 const options_of = (number) => ({ ...number, min: 1.0001, unit: "" });
 
-/** The history as a list to go back in. */
+/** The history as a list of steps to return to. */
 export function history(root, { dom }, choices) {
   const { h, fill } = dom;
   const step = (s, k) => h("li", null, h("button", { class: "wb-step", type: "button", "aria-current": k === choices.at ? "step" : null, "data-later": k > choices.at, onclick: () => choices.goTo(k) }, s.words));

@@ -1,8 +1,8 @@
-// What a diagnosis of the gap found: which effect, how far it closes the gap, PV with the free run before and after.
+// Result of a gap diagnosis: which effect, how far it closes the gap, PV with the free run before and after.
 
 import { bySection, ways } from "./workbench-result.js";
 
-/** Effects in the table at first. */
+/** Effects shown in the table at first. */
 const MOST = 8;
 
 function figures(h, format, d, unit) {
@@ -36,7 +36,7 @@ function effects(h, format, d) {
     rest.length ? h("details", null, h("summary", null, `${rest.length} more effects`), table(rest, "The others")) : null];
 }
 
-/** Stretches that no model was fitted to. */
+/** Ranges that no model was fitted to. */
 function heldOut({ t_ms, held_out }) {
   const spans = [];
   let from = null;

@@ -1,6 +1,6 @@
 // Help of the workbench: a tour of two examples, every field, keys.
 
-/** Every field of the choices by its name: what it is called, and what it does. */
+/** The label and description of every option, by name. */
 export const FIELDS = {
   kind: ["Estimate or Gap", "Estimate fits a sticking valve and a process, and gives s, j, fs and fd with intervals. Gap measures what such a model leaves unexplained and names the effect that closes it best."],
   downsample: ["One point for every", "Downsampling ratio: 2 makes one point of two samples, 2.5 is allowed. Aim at 50 points a period or more. The preview shows the result."],
@@ -41,7 +41,7 @@ const TOUR = [
   ] },
 ];
 
-/** Opens the help. `samples` of the loop in view, 0 without one; `set(patch, words)` takes an example's choices. */
+/** Opens the help. `samples` is that of the current loop, or 0; `set(patch, words)` applies an example's options. */
 export function help({ h }, samples, set) {
   const example = ({ title, needs, patch, steps }) => {
     const why = samples === 0 ? "Open a loop first." : samples < needs ? `This loop has ${samples} samples only.` : null;

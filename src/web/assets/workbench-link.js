@@ -1,6 +1,6 @@
-// The page of a daemon has no workbench: it says where files are opened.
+// A daemon's page has no workbench: it says where files can be opened.
 
-/** Shows where files are opened. */
+/** Shows where files can be opened. */
 export function show(root, { dom: { fill, h }, site }) {
   const url = site?.workbench_url;
   fill(root, h("h1", null, "Workbench"),

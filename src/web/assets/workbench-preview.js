@@ -1,8 +1,8 @@
-// What a run would analyse, shown before it: the sections as recorded, and after downsampling and detrending.
+// The data that a run would analyse, shown beforehand: the sections as recorded, and after downsampling and detrending.
 
-/** Choices that change what is analysed. */
+/** Options that change the analysed data. */
 const DATA = ["kind", "file", "loop", "sections", "downsample", "like_toolbox", "detrend"];
-/** Pause after a change before the preview is asked for, ms. */
+/** Pause after a change before the preview is requested, ms. */
 const SETTLE_MS = 200;
 
 /** The preview below the trend. */
@@ -14,7 +14,7 @@ export class Preview {
     this.drawn = [];
   }
 
-  /** Follows the choices. `one` is the loop, or null; `order` what a run would ask. */
+  /** Follows the options. `one` is the loop, or null; `order` the request of a run. */
   show(one, now, order) {
     const key = JSON.stringify(DATA.map((name) => now[name]));
     if (key === this.key) return;
@@ -67,7 +67,7 @@ export class Preview {
     return undefined;
   }
 
-  /** Trend and phase plot of one state. */
+  /** Trend and phase plot of one version of the data. */
   panel(title, size, { t_ms, op, pv }) {
     const { h, one } = this;
     const [opUnit, pvUnit] = one.units;

@@ -1,16 +1,16 @@
-// What a run found: plain words, numbers with intervals, pictures; first and second order side by side.
+// Result of a run: plain words, numbers with intervals, pictures; first and second order next to each other.
 
 import { VERDICTS } from "./verdicts.js";
 import { solverTable } from "./workbench-solver.js";
 
 const NAMES = { fopdt: "First order", sopdt: "Second order", auto: "Order chosen by the fit" };
 
-/** Lines that are not folded. */
+/** Lines that are always visible. */
 const MOST_LINES = 3;
 
 const KINDS = { stiction: "bad", deadband: "bad", disturbance: "other", tuning: "other", not_oscillating: "none", cause_unknown: "other" };
 
-/** A verdict as a badge with its word; never colour alone. */
+/** A verdict as a badge with its word; never by colour alone. */
 export function badge(h, verdict) {
   return h("span", { class: `wb-badge ${KINDS[verdict] ?? "open"}` }, VERDICTS[verdict]?.short ?? verdict ?? "no answer");
 }
@@ -28,7 +28,7 @@ export function bySection(results) {
 
 const interval = (format, v, range, unit) => (v === null || v === undefined ? "–" : format.estimate(v, range, unit ?? ""));
 
-/** Rows of numbers: name, hint, and how one document, with its error maps, says it. */
+/** Rows of numbers: name, hint, and how to get the text from a document with its error maps. */
 function rows(format, units) {
   const [op] = units;
   const n = format.number;
@@ -63,7 +63,7 @@ function rows(format, units) {
   ];
 }
 
-/** A copy button that says when it has copied. */
+/** A copy button that confirms copying. */
 export function copyButton(h, announce, words, text) {
   const button = h("button", { class: "button", type: "button", onclick: async () => {
     try {
@@ -71,7 +71,7 @@ export function copyButton(h, announce, words, text) {
       announce("Copied");
       button.textContent = "Copied";
     } catch {
-      // Without leave to write the clipboard the text is shown to be copied by hand.
+      // Without access to the clipboard, show the text for copying by hand.
       button.replaceWith(h("textarea", { class: "wb-copy", rows: "2", readonly: true, "aria-label": words, value: text() }));
     }
     setTimeout(() => (button.textContent = words), 1500);
@@ -88,7 +88,7 @@ export function saveText(h, name, type, text) {
 
 const fileName = (text) => text.replace(/[^\p{L}\p{N}._-]+/gu, "_");
 
-/** Ways out of a result: report, command, documents. */
+/** Downloads of a result: report, command, documents. */
 export function ways({ h, api, announce }, job, results) {
   const reports = [...new Map(results.filter((r) => r.report_url).map((r) => [r.report_url, r])).values()];
   const stem = fileName(job.request.loop);
@@ -105,14 +105,14 @@ export function ways({ h, api, announce }, job, results) {
 
 const sentence = (words) => words.charAt(0).toUpperCase() + words.slice(1) + (/[.!?]$/.test(words) ? "" : ".");
 
-/** What a result says, by what it is about. */
+/** A result's sentences by subject. */
 function said(result) {
   const seen = new Map();
   for (const { about, text } of result.words) seen.set(about, [...(seen.get(about) ?? []), sentence(text)]);
   return seen;
 }
 
-/** Plain words, a row for each thing; what both orders say alike stands once. */
+/** Plain words, one row for each subject; equal texts of both orders appear once. */
 function words(h, found) {
   const shown = found.filter((r) => r.document);
   const all = shown.map(said);
@@ -148,7 +148,7 @@ function numbers(h, format, found, units) {
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Numbers" }, h("table", { class: "table wb-numbers" }, h("caption", { class: "soft" }, "Intervals at 90 %"), head, h("tbody", null, body)));
 }
 
-/** Pictures of the runs: what both have alike once, the others as pairs. */
+/** Pictures of the runs: equal ones once, the others in pairs. */
 function pairs({ h, pictures }, found) {
   const drawn = found.filter((r) => r.pictures.length);
   if (!drawn.length) return null;

@@ -1,9 +1,9 @@
-// The runs made so far: orders, progress, cancelling, and a table to compare them.
+// The runs so far: requests, progress, cancellation, and a table to compare them.
 
 import { badge, saveText } from "./workbench-result.js";
 
 const STATES = { queued: "Waiting", running: "Running", done: "Done", failed: "Failed", cancelled: "Cancelled" };
-/** Pause before a lost stream is opened again, ms. */
+/** Pause before reconnecting a lost stream, ms. */
 const AGAIN_MS = 1500;
 
 /** All runs. `on`: `shown(job)` draws one, `looked()` brings it into view, `called(job)` is its loop, `changed()` hears of every change, `again(job)` takes its choices. */
@@ -16,7 +16,7 @@ export class Runs {
     this.timers = new Set();
   }
 
-  /** Fetches the runs that the program knows. */
+  /** Loads the runs that the program knows. */
   async load() {
     this.jobs = (await this.api.get("/workbench/jobs")).jobs;
     for (const job of this.jobs) if (!over(job)) this.follow(job.id);
@@ -32,7 +32,7 @@ export class Runs {
     return Number(job.id.slice(1));
   }
 
-  /** Runs with an estimate, for the choice of a base. */
+  /** Runs with an estimate, as possible bases. */
   bases() {
     const all = this.jobs.filter((job) => job.request.kind === "analyze" && job.results?.some((r) => r.document?.process));
     return all.flatMap((job) => job.results.map((r, k) => ({ r, k })).filter(({ r }) => r.document?.process).map(({ r, k }) => ({
@@ -40,7 +40,7 @@ export class Runs {
     })));
   }
 
-  /** The document that a base stands for. */
+  /** The document of a chosen base. */
   document(base) {
     const [, id, k] = base.split(":");
     return this.find(id)?.results?.[Number(k)]?.document ?? "refit";
@@ -54,7 +54,7 @@ export class Runs {
     this.draw();
   }
 
-  /** Listens to a job until it is over. */
+  /** Listens to a job until it ends. */
   follow(id) {
     let seen = -1;
     const close = this.api.stream(`/workbench/jobs/${id}/events`, {
@@ -127,7 +127,7 @@ export class Runs {
   drawProgress() {
     const { h, fill, format } = this;
     const under = this.jobs.filter((job) => !over(job));
-    // The button that has the focus must not go with every step.
+    // A focused button must not be replaced at every step.
     const focused = this.root.contains(document.activeElement) ? document.activeElement.dataset.job : null;
     fill(this.root, under.map((job) => {
       const { done, of, words } = job.progress;
@@ -143,7 +143,7 @@ export class Runs {
     const { h, format } = this;
     const d = result?.document;
     const n = (v, minor) => h("td", { class: minor ? "number wb-minor" : "number" }, v);
-    // Where rows fold, every figure carries its name.
+    // On narrow screens, where rows are folded, every figure shows its name.
     const named = (name, cell) => {
       cell.dataset.name = name;
       return cell;
@@ -200,7 +200,7 @@ export class Runs {
   }
 }
 
-/** Whether nothing more comes of a job. */
+/** Whether a job has ended. */
 export const over = (job) => ["done", "failed", "cancelled"].includes(job.state);
 
 function what(job, result, name) {

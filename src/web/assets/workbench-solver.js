@@ -1,6 +1,6 @@
-// The mean squared errors of a run with an additional solver, side by side: which to use and why they differ.
+// The mean squared errors of a run with an additional solver: which result to use, and why they differ.
 
-/** What a solver's answer means beside the estimate's. */
+/** Meaning of a solver's answer compared with the estimate's. */
 function advice(format, { mse, estimate_mse, name }) {
   if (mse === null || estimate_mse === null) return `${name} found no model to compare. Use the estimate.`;
   const both = `In the solver's model ${name} reaches ${format.number(mse)}, the estimate's bands ${format.number(estimate_mse)}`;
@@ -8,7 +8,7 @@ function advice(format, { mse, estimate_mse, name }) {
   return `${both}: the solver's bands suit its coarser model better. Use the estimate; if the solver's bands lie outside the estimate's intervals, try a finer grid or more models.`;
 }
 
-/** A table of the errors of one result; null where no solver was asked for. */
+/** A table of the errors of one result; null if no solver was requested. */
 export function solverTable({ h, format }, document, order) {
   const { solver, process } = document;
   if (!solver || !process) return null;

@@ -1,9 +1,9 @@
-// What is chosen in the workbench, every step of it kept: undo, redo, go back to any step.
+// The chosen options with their history: undo, redo, return to any step.
 
-/** Steps that are kept. */
+/** Steps kept. */
 const MOST = 200;
 
-/** Choices as the program would make them; both orders, as the toolbox shows them. */
+/** The program's default options; both orders, as in the toolbox. */
 export const DEFAULTS = {
   file: null,
   loop: null,
@@ -31,7 +31,7 @@ export const DEFAULTS = {
 
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 
-/** The choices with their history. `onChange(now, before)` hears of every change. */
+/** The options with their history. `onChange(now, before)` is called after every change. */
 export class Choices {
   constructor() {
     this.steps = [{ words: "Start", now: structuredClone(DEFAULTS) }];
@@ -43,7 +43,7 @@ export class Choices {
     return this.steps[this.at].now;
   }
 
-  /** Takes a change; `words` say what it was. What was undone before is forgotten. */
+  /** Applies a change; `words` describe it. Undone steps are forgotten. */
   change(patch, words) {
     const before = this.now;
     const now = { ...before, ...structuredClone(patch) };
@@ -73,7 +73,7 @@ export class Choices {
   }
 }
 
-/** The order for the program that the choices make; `baseOf` gives the document that a chosen run stands for. */
+/** The request for the program from the options; `baseOf` gives the document of a chosen run. */
 export function order(now, baseOf) {
   const common = {
     kind: now.kind,
@@ -102,7 +102,7 @@ export function order(now, baseOf) {
   };
 }
 
-/** The choices that an order was made from, so that a run can be made again or changed a little. */
+/** The options from which a request was made, so that a run can be repeated or varied. */
 export function choicesOf(request, sections) {
   const [op_low, op_high] = request.op_range ?? [null, null];
   return {
@@ -120,7 +120,7 @@ export function choicesOf(request, sections) {
   };
 }
 
-/** Listens for undo and redo, but where a text field has an undo of its own. Returns a function that stops. */
+/** Handles the keys for undo and redo, except in text fields, which have their own. Returns a function that removes them. */
 export function undoKeys(choices, said) {
   const key = (e) => {
     if (!(e.ctrlKey || e.metaKey) || e.altKey) return;

@@ -1,13 +1,13 @@
 // The whole record, and the sections chosen on it: by dragging, by keys at the cursor, by numbers.
 
 const POINTS = 1600;
-/** Pause after zooming before finer data is asked for, ms. */
+/** Pause after zooming before finer data are requested, ms. */
 const SETTLE_MS = 180;
 const SYNC = "wb-trend";
-/** How PV and OP share axes: charts apart, one chart with an axis each, one chart with one axis. */
+/** How PV and OP share axes: separate charts, one chart with two axes, one chart with one axis. */
 const AXES = [["apart", "Two charts"], ["double", "Two axes"], ["single", "One axis"]];
 
-/** The trend of the chosen loop. `on.sections(sections, words)` and `on.axes(axes, words)` hear of every change. */
+/** The trend of the chosen loop. `on.sections(sections, words)` and `on.axes(axes, words)` are called after every change. */
 export class Trend {
   constructor(root, { api, charts, dom, format, announce }, on) {
     Object.assign(this, { root, api, charts, format, announce, on, h: dom.h, fill: dom.fill, problem: dom.problem, skeleton: dom.skeleton });
@@ -62,7 +62,7 @@ export class Trend {
     this.drawList();
   }
 
-  /** One of several, kept in `this[name]`. */
+  /** Buttons for one of several values, kept in `this[name]`. */
   segments(label, all, name, chosen = () => {}) {
     const { h } = this;
     const buttons = all.map(([id, words]) => h("button", { class: "button", type: "button", "aria-pressed": String(this[name] === id), onclick: (e) => {
@@ -97,7 +97,7 @@ export class Trend {
     for (const chart of this.drawn) chart.setData(data, { keepView });
   }
 
-  /** After zooming: the same stretch again with as many points as the screen has. */
+  /** After zooming: loads the same range with as many points as the screen has. */
   viewed(all = false) {
     clearTimeout(this.settling);
     this.settling = setTimeout(async () => {
@@ -115,7 +115,7 @@ export class Trend {
     }, SETTLE_MS);
   }
 
-  /** Time of a sample, between the samples that are known. */
+  /** Time of a sample, interpolated between known samples. */
   timeOf(sample) {
     const { index, t_ms } = this.whole;
     let before = 0;

@@ -1,4 +1,4 @@
-// The workbench: open files, choose sections and options, run, look, compare. The numbers are those of the commands.
+// The workbench: open files, choose sections and options, run, view, compare. The numbers are those of the commands.
 
 import { Files, called } from "./workbench-files.js";
 import { Form, history } from "./workbench-form.js";
@@ -10,7 +10,7 @@ import { Runs, over } from "./workbench-runs.js";
 import { Choices, choicesOf, order, undoKeys } from "./workbench-state.js";
 import { Trend } from "./workbench-trend.js";
 
-/** What is chosen outlives a look at another view. */
+/** The options survive a visit to another view. */
 const choices = new Choices();
 
 /** Shows the workbench; returns a function that ends it. */
@@ -20,7 +20,7 @@ export function show(root, context) {
   return () => bench.end();
 }
 
-/** What is known of a loop before any run. */
+/** Facts about a loop before any run. */
 function processFacts({ h }, format, one) {
   const units = one.units.some(Boolean) ? one.units.map((unit, k) => `${["OP", "PV"][k]} ${unit ?? "–"}`).join(", ") : null;
   const rows = [
@@ -131,30 +131,30 @@ class Bench {
     help(this.dom, one?.samples ?? 0, (patch, words) => choices.change(patch, words));
   }
 
-  /** The loop that is looked at. */
+  /** The chosen loop. */
   loop() {
     const { file, loop } = choices.now;
     return this.fileList?.find(file)?.loops.find((one) => one.name === loop);
   }
 
-  /** What a run's loop is called. */
+  /** Name of a run's loop. */
   called(job) {
     const one = this.fileList?.find(job.request.file)?.loops.find((l) => l.name === job.request.loop);
     return one ? called(one) : job.request.loop;
   }
 
-  /** Where the choices have no place beside the charts, they fold. */
+  /** If there is no room for the options next to the charts, they fold. */
   fold(open) {
     this.setup.classList.toggle("open", open);
     this.unfold.setAttribute("aria-expanded", String(open));
   }
 
-  /** Brings the result into view. */
+  /** Scrolls to the result. */
   look() {
     this.resultPart.scrollIntoView({ block: "start" });
   }
 
-  /** A person chose a loop, or closed the file that was looked at. */
+  /** The user chose a loop, or closed the file of the current one. */
   chooseLoop(file, one) {
     const words = one ? `Loop ${one.name}` : "File closed";
     choices.change({ file: file?.id ?? null, loop: one?.name ?? null, sections: [] }, words);
@@ -168,7 +168,7 @@ class Bench {
     this.arrange();
   }
 
-  /** The choices changed: by a person, by undo, by a run whose choices were taken. */
+  /** The options were changed by the user, by undo, or by adopting those of a run. */
   changed(now, before) {
     if (now.file !== before.file || now.loop !== before.loop) {
       const file = this.fileList.find(now.file);
@@ -193,7 +193,7 @@ class Bench {
     this.announce(`The settings of run ${this.runs.number(job)} are applied`);
   }
 
-  /** Shows only what there is something to do with. */
+  /** Shows only the parts that can be used. */
   arrange() {
     const one = this.loop();
     const there = Boolean(one);
@@ -213,7 +213,7 @@ class Bench {
     this.note.hidden = true;
     this.go.disabled = true;
     try {
-      // What is typed but not yet left counts too.
+      // Include an entry in a field that still has the focus.
       document.activeElement?.dispatchEvent(new Event("change", { bubbles: true }));
       await this.runs.order(order(choices.now, (base) => this.runs.document(base)));
       this.fold(false);
@@ -228,7 +228,7 @@ class Bench {
     this.endResult?.();
     this.endResult = null;
     const { h, fill } = this;
-    // While it is drawn anew the page keeps its length, so that nobody is moved.
+    // Keep the page's height during redrawing, so that the scroll position stays.
     this.result.style.minHeight = `${this.result.offsetHeight}px`;
     setTimeout(() => (this.result.style.minHeight = ""), 1000);
     if (!job) return fill(this.result);
