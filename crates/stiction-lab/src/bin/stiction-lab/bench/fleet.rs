@@ -167,7 +167,6 @@ pub fn run(ask: &Ask) -> anyhow::Result<Figures> {
     };
     let (sent, after) = published(&place, &daemon, &measured, filled)?;
     let judged = daemon.until(JUDGED_WITHIN, |seen| seen.count("estimates") >= seen.count("windows"))?;
-    // The recordings have their final size once their files are closed.
     let recordings = daemon.recorded_bytes();
     daemon.stop()?;
     let first_sample_s = restart(&place, &measured)?;

@@ -146,7 +146,7 @@ impl Reduced {
     }
 }
 
-/// The least error in `range`, by parabolas through three points.
+/// The least error from `low` to `high`, by parabolas through three points.
 fn best_place([low, high]: [f64; 2], place: impl Fn(f64) -> Best) -> Best {
     if high - low < SAME_PLACE {
         return place(low);

@@ -25,7 +25,7 @@ const MOST_RHO: f64 = 0.98;
 const OTHER_FILTER: f64 = 0.1;
 /// Error relative to the answer's below which another candidate replaces it.
 const BETTER: f64 = 0.98;
-/// Candidates refitted to the filtered error, how many of them continue, random steps for the first and for the others.
+/// Candidates refitted to the filtered error, how many of them continue, random steps for the first two and for the others.
 const REFITTED: usize = 12;
 const FOLLOWED: usize = 4;
 const STEPS: [usize; 2] = [60, 24];

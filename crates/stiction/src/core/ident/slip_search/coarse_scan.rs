@@ -1,7 +1,7 @@
 //! The coarse scan: fits a valve signal with eight first-order lags and many dead times at once.
 //!
-//! All dead times use a stretch of OP of the same length, and PV's stretch slides past it. So the products of the responses
-//! with each other are computed once, in one pass over the steps; only the products with PV change with the dead time.
+//! All dead times use the same stretch of OP, and PV slides past it. So the products of the responses with each other are
+//! computed once, in one pass over the steps; only the products with PV change with the dead time.
 
 // Lane and half indices address several arrays at once.
 #![allow(clippy::needless_range_loop)]

@@ -6,7 +6,6 @@
 //! squared error as a function of fd; s is uniform inside a cell. Quantiles of this mixture are the likelihood's intervals. The
 //! likelihood ignores model error, such as a valve or a disturbance unlike the model; this shows in the residual and sets a
 //! minimum width, calibrated on simulated loops, see [`crate::core::ident::width`].
-//! [`crate::core::ident::width`].
 
 use super::around::Around;
 use super::candidate::Candidate;
