@@ -100,7 +100,7 @@ pub fn main_of<C: Parser>(
     exit_code(program, run(&cli))
 }
 
-/// Prints why a command failed, and gives the exit code.
+/// Prints why a command failed, and returns the exit code.
 fn exit_code(program: &str, ended: anyhow::Result<Outcome>) -> ExitCode {
     let outcome = ended.unwrap_or_else(|error| {
         // A reader that closes our output early (`| head`) is no failure.

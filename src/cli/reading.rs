@@ -126,13 +126,13 @@ pub fn config_of(paths: &[PathBuf]) -> anyhow::Result<Config> {
     }
 }
 
-/// Reads a configuration file; gives its text too.
+/// Reads a configuration file; returns its text too.
 pub fn config_file(path: &Path) -> anyhow::Result<(String, Config)> {
     let (config, text) = ConfigFile { path: path.to_owned(), id: None, shard: None }.read()?;
     Ok((text, config))
 }
 
-/// Reads a scenario file; gives its text too.
+/// Reads a scenario file; returns its text too.
 pub fn scenario_file(path: &Path) -> anyhow::Result<(String, Scenario)> {
     let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
     let scenario = Scenario::parse(&text).map_err(|e| anyhow!("{}: {e}", path.display()))?;

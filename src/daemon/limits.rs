@@ -14,7 +14,7 @@ use stiction_engine::engine::LoopId;
 /// Seconds of the rate that may come in one burst: by default a million samples, or eleven days at one a second, played at full
 /// speed.
 const BURST_S: f64 = 1000.0;
-/// After a look at all loops' stamps the next one waits for this fraction of the loops in samples: one over this number.
+/// Divisor: the next look at all loops' stamps comes after as many samples as there are loops, divided by this.
 const LOOK_AGAIN: usize = 8;
 
 /// Why a sample was refused.

@@ -283,7 +283,7 @@ impl SimDaemon {
         self.data_health.turn();
     }
 
-    /// What the page shows.
+    /// The page's data.
     #[must_use]
     pub const fn overview(&self) -> &Overview {
         &self.overview

@@ -18,7 +18,7 @@ pub use outcome::{Done, Helped, Measured, Outcome, Side, compare};
 
 /// Top loops of the list whose repair is simulated.
 pub const SIMULATED: usize = 30;
-/// Share removed by a repair that is assumed where it is unknown.
+/// Share that a repair is assumed to remove if it is unknown.
 const ASSUMED_SHARE: f64 = 0.5;
 /// Weights of a growing and of a shrinking band.
 const RISING: f64 = 1.25;

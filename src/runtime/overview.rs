@@ -77,7 +77,7 @@ pub struct Row {
     pub ne107: Option<Sign>,
     /// The reason in one line.
     pub status: String,
-    /// What the loop shows: the verdict of its newest window, or the cause that most of its last ones name.
+    /// The displayed verdict: that of its newest window, or the cause named by most of its last windows.
     pub verdict: Option<Verdict>,
     /// The newest window's conclusion on stiction: `sticks`, `suspected`, `open`, `not_seen` or `no_answer`.
     pub standing: Standing,

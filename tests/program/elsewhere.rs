@@ -1,4 +1,4 @@
-//! Lines of the pages that are too slow or too invasive for a test of this program, and what runs them in its place.
+//! Lines of the pages that are too slow or too invasive for a test of this program, and the code that runs them instead.
 
 use std::fs;
 
@@ -14,8 +14,8 @@ const INSTALLED: [Code; 2] = [("tests/package/run.sh", "python3 tests/package/in
 const PYTHON: [Code; 2] = [("python/test.sh", "-m pytest --quiet -p no:cacheprovider python/tests"), BY_PYTHON];
 const BY_PYTHON: Code = ("tests/run.sh", "bash python/test.sh");
 
-/// The line's start, the code that does what the line says, and what runs that code, up to `tests/run.sh`. Code that reads the
-/// line from its page (`typed`) cannot run another one.
+/// The start of the line, the code that does what it says, and the code that runs that, up to `tests/run.sh`. Code that reads
+/// the line from its page (`typed`) cannot run a different one.
 const ELSEWHERE: &[(&str, &[Code], &[Code])] = &[
     ("cargo build --release", &[("tests/run.sh", "cargo check --locked --quiet -p stictiond")], &[]),
     (
@@ -42,7 +42,7 @@ const ELSEWHERE: &[(&str, &[Code], &[Code])] = &[
     ("python examples/fleet/dask_fleet.py", &[("python/tests/test_fleet.py", "typed(\"dask_fleet.py\"")], &PYTHON),
 ];
 
-/// The tests themselves: whoever runs this test came by one of them, and the other one runs it.
+/// The tests themselves: this test is run by one of them, and the other one runs that.
 const THIS: [&str; 2] = ["bash tests/run.sh", "bash .ci/run"];
 
 /// Whether other code runs a line of a page.

@@ -1,5 +1,5 @@
-//! Parts of the pages that are made from what the program prints: its commands from the help, documents and their fields from
-//! the schemas. Where they differ, `STICTIOND_GOLDEN=write cargo test --features full --test program generated` makes them anew.
+//! Parts of the pages that are generated from the program's output: its commands from the help, documents and their fields from
+//! the schemas. If they differ, `STICTIOND_GOLDEN=write cargo test --features full --test program generated` rewrites them.
 
 use std::fmt::Write;
 use std::fs;
@@ -46,7 +46,7 @@ fn fields() -> String {
     out
 }
 
-/// The commands with what they take, as the help has them.
+/// The commands and their arguments, from the help.
 fn commands() -> String {
     let help = ok(&["--help"]);
     let lines = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
@@ -57,7 +57,7 @@ fn commands() -> String {
                 let (name, about) = row.split_once(' ').unwrap();
                 rows.push((name, about.trim().to_owned()));
             }
-            // The rest of a long description stands further in.
+            // The rest of a long description is indented further.
             None => write!(rows.last_mut().unwrap().1, " {}", line.trim()).unwrap(),
         }
     }
@@ -72,7 +72,7 @@ fn commands() -> String {
     out
 }
 
-/// Compares the part of a page between its marks with what it should be, or writes it.
+/// Compares the part of a page between its marks with the expected text, or writes it.
 fn compare(page: &str, part: &str, made: &str) {
     let text = fs::read_to_string(page).unwrap();
     let (begins, ends) = (format!("<!-- made from {part} -->\n\n"), "\n<!-- end -->\n");
@@ -102,7 +102,7 @@ fn commands_are_those_of_the_help() {
     compare("docs/commands.md", "the help", &made);
 }
 
-/// Fields that pages explain exist: the first column of a table is read up to `…`, which stands for more.
+/// Fields explained on pages exist: the first column of a table is read up to `…`, which stands for further fields.
 #[test]
 fn fields_that_pages_explain_are_in_the_schemas() {
     for (page, heading, name) in [
@@ -117,7 +117,7 @@ fn fields_that_pages_explain_are_in_the_schemas() {
         let column = if heading.starts_with("| part") { 2 } else { 1 };
         for row in rows.skip(1).take_while(|line| line.starts_with('|')) {
             let cell = row.split('|').nth(column).unwrap();
-            // Every second part stands in backticks; a field may be followed by one of its own.
+            // Every second part is in backticks; a field may be followed by a nested one.
             for field in cell.split('`').skip(1).step_by(2) {
                 let first = field.split(['.', '[']).next().unwrap();
                 let known = schema["properties"].get(first).is_some() || first.starts_with('…');

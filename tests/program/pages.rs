@@ -1,10 +1,10 @@
-//! What the pages tell people to type: every line is run, in order, with the output that is shown, or another test runs it
-//! ([`elsewhere`]). Lines that take long run with small numbers, under `--all`.
+//! The lines that the pages tell people to type: every line is run in order and its output compared, or another test runs it
+//! ([`elsewhere`]). Slow lines run with small numbers, under `--all`.
 //!
-//! A fenced block marked `console` shows real output of a shipped recording: where a change means to alter it, run the
-//! command and paste what it prints. `...` stands for lines, or the rest of a line, that are left out. A block marked `results`
-//! shows output that takes too long to make again here: it is compared with what `tests/results.sh` keeps in docs/results.
-//! Blocks of other marks are not compared.
+//! A fenced block marked `console` shows real output for a shipped recording: if a change is meant to alter it, run the command
+//! and paste the output. `...` stands for omitted lines, or for the rest of a line. A block marked `results` shows output that
+//! takes too long to repeat here: it is compared with the output that `tests/results.sh` stores in docs/results. Blocks with
+//! other marks are not compared.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

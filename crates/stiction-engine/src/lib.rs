@@ -8,7 +8,7 @@
 //! | [`engine`] | one state machine per loop |
 //! | [`config`] | settings from text, for daemon, engine and alarm |
 //! | [`expectations`] | what the daemon should report of known data |
-//! | [`status`] | how a loop and the plant stand, in one sign and one sentence |
+//! | [`status`] | the status of a loop and the plant, in one sign and one sentence |
 //! | [`shard`] | which daemon watches which loop |
 //! | [`analysis`] | samples of a recording to the answers of `analyze` and `gap` |
 //!

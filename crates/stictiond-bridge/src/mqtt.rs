@@ -161,7 +161,7 @@ fn options(args: &Args) -> anyhow::Result<MqttOptions> {
     Ok(options)
 }
 
-/// TLS that trusts these certificates, or the system's; with a certificate of our own where one is named.
+/// TLS that trusts these certificates, or the system's; with a client certificate if one is given.
 fn tls_of(ca_file: &str, cert_file: &str, key_file: &str) -> anyhow::Result<TlsConfiguration> {
     let Some(ca) = pem("ca_file", ca_file)? else {
         return TlsConfiguration::try_default_rustls().map_err(|e| anyhow!("this system's certificates: {e}"));

@@ -227,7 +227,7 @@ pub struct Step<'j> {
     pub job: &'j Job,
     /// Number of steps before it, and in total.
     pub place: [usize; 2],
-    /// What it is.
+    /// Its description.
     pub words: String,
     /// What is counted in it, such as `models`.
     pub counted: &'static str,
