@@ -188,3 +188,26 @@ fn every_command_is_listed() {
         .collect();
     assert_eq!(column("docs/commands.md", "command"), commands);
 }
+
+/// A file or folder of sources, as a module is called.
+fn modules(folder: &str) -> Vec<String> {
+    let names = fs::read_dir(root().join(folder)).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+    let module = |name: String| name.trim_end_matches(".rs").to_owned();
+    names.map(module).filter(|name| !["lib", "main", "mod", "bin", "tests"].contains(&name.as_str())).collect()
+}
+
+#[test]
+fn the_design_names_what_there_is() {
+    let text = read("docs/dev/design.md");
+    let quoted: Vec<&str> = text.split('`').skip(1).step_by(2).collect();
+    let mut faults = Vec::new();
+    for home in ["crates/stiction/src/core", "crates/stiction-engine/src", "crates/stiction-lab/src", "src"] {
+        let unnamed = modules(home).into_iter().filter(|name| !quoted.contains(&name.as_str()));
+        faults.extend(unnamed.map(|name| format!("{home}/{name} is not named")));
+    }
+    let homes = ["src/daemon", "crates/stiction-engine/src", "crates/stiction/src/core"];
+    let gone = quoted.iter().filter(|name| Path::new(name).extension().is_some_and(|e| e == "rs"));
+    let gone = gone.filter(|name| !homes.iter().any(|home| root().join(home).join(name).is_file()));
+    faults.extend(gone.map(|name| format!("there is no {name}")));
+    assert!(quoted.len() > 50 && faults.is_empty(), "\n{}\n", faults.join("\n"));
+}

@@ -106,7 +106,7 @@ fn commands_are_those_of_the_help() {
 #[test]
 fn fields_that_pages_explain_are_in_the_schemas() {
     for (page, heading, name) in [
-        ("docs/read-a-result.md", "| field | unit | means |", "stictiond.estimate.v1"),
+        ("docs/read-a-result.md", "| field | means |", "stictiond.estimate.v1"),
         ("docs/alarms.md", "| field | means |", "stictiond.alarm.v2"),
         ("docs/gap.md", "| part | in the document | how it is found |", "stictiond.gap.v1"),
     ] {
