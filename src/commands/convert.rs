@@ -13,7 +13,6 @@ use std::collections::btree_map::Entry;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use stiction::core::signal::align::Quality;
 use stiction::core::units::file_stem_of;
 use stiction_files::compact::{self, CompactLoop};
 use stiction_files::even::even;
@@ -110,7 +109,7 @@ pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
         crate::cli::warn(format_args!("{place}: {warning}"));
     }
     select(&mut loaded, args.loop_name.as_deref(), &place)?;
-    let quality = if config_of(inputs)?.input.quality == "classic" { Quality::Classic } else { Quality::Ua };
+    let quality = config_of(inputs)?.input.quality;
     loaded.loops.iter_mut().for_each(|one| *one = one.judged(quality));
     if let Some(ts_s) = args.resample {
         for one in &mut loaded.loops {

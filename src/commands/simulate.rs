@@ -88,7 +88,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         run_number: None,
         origin: if args.raw { "simulate_raw" } else { "simulate" },
         daemon: String::new(),
-        raw: config.recording.raw.clone(),
+        raw: config.recording.raw,
         continued: BTreeMap::new(),
         config: RecordedConfig::new(&config, config_text),
     };

@@ -11,7 +11,7 @@ use zenoh::key_expr::{KeyExpr, keyexpr};
 use stiction::core::record::{Sample, Signal};
 use stiction::core::units::loop_name_from;
 use stiction_engine::codec::topic::{Leaf, Topic};
-use stiction_engine::codec::{Bundle, CodecError, Field, Memory, decode_fields};
+use stiction_engine::codec::{Bundle, CodecError, ConfiguredCodec, Field, Memory, decode_fields};
 use stiction_engine::config::{Config, NAME_MARK};
 use stiction_engine::short_hash;
 use stiction_files::export::names::role;
@@ -60,7 +60,7 @@ fn mapped(config: &Config) -> Mapped {
 pub struct Bundles {
     prefix: String,
     discover: bool,
-    keys: Vec<(KeyExpr<'static>, String)>,
+    keys: Vec<(KeyExpr<'static>, ConfiguredCodec)>,
     mapped: Mapped,
     carriers: HashSet<Box<str>>,
     carrier_bytes: usize,
@@ -71,7 +71,7 @@ impl Bundles {
     /// Reads which keys carry bundles, and which names are mapped.
     #[must_use]
     pub fn new(config: &Config) -> Self {
-        let keys = config.bundles.iter().filter_map(|b| Some((KeyExpr::new(b.key.clone()).ok()?, b.codec.clone())));
+        let keys = config.bundles.iter().filter_map(|b| Some((KeyExpr::new(b.key.clone()).ok()?, b.codec)));
         Self {
             prefix: config.site.prefix.clone(),
             discover: config.input.discover,
@@ -91,16 +91,16 @@ impl Bundles {
     /// The codec of a key whose payloads are bundles. A key below the prefix that names a signal by itself carries no bundle,
     /// unless names in its payloads are mapped.
     #[must_use]
-    pub fn codec_of(&self, key: &str) -> Option<&str> {
+    pub fn codec_of(&self, key: &str) -> Option<ConfiguredCodec> {
         if self.keys.is_empty() && self.mapped.is_empty() {
             return None;
         }
         let matching = || {
             let key = keyexpr::new(key).ok()?;
-            self.keys.iter().find(|(expression, _)| expression.intersects(key)).map(|(_, codec)| codec.as_str())
+            self.keys.iter().find(|(expression, _)| expression.intersects(key)).map(|(_, codec)| *codec)
         };
         if self.mapped.contains_key(key) {
-            return Some(matching().unwrap_or(stiction_engine::codec::AUTO));
+            return Some(matching().unwrap_or_default());
         }
         let raw = || Topic::parse(Some(&self.prefix), key).is_some_and(|t| matches!(t.leaf, Leaf::Raw(_)));
         if key.len() > MAX_NAME_BYTES || raw() { None } else { matching() }
@@ -114,10 +114,10 @@ impl Bundles {
         &mut self,
         bundle: &Bundle<'_>,
         encoding: Option<&str>,
-        codec: &str,
+        codec: ConfiguredCodec,
     ) -> Result<(Vec<Meant>, &'static str, u64), CodecError> {
         let mut fields = Vec::new();
-        let name = decode_fields(bundle, encoding, Some(codec), &mut self.memory, &mut fields)?;
+        let name = decode_fields(bundle, encoding, codec, &mut self.memory, &mut fields)?;
         let ranked: Vec<Option<(String, Signal, usize)>> =
             fields.iter().map(|field| self.meaning(bundle.key, field)).collect();
         // If several names in a payload mean the same signal, the one with the best rank is used: OP before OUT.
@@ -209,14 +209,14 @@ mod tests {
 
     fn read(bundles: &mut Bundles, key: &str, payload: &str) -> (Vec<(String, Signal, Value)>, u64) {
         let bundle = Bundle { key, payload: payload.as_bytes(), fallback_t_ns: 7 };
-        let (meant, _, left) = bundles.read(&bundle, None, "auto").unwrap();
+        let (meant, _, left) = bundles.read(&bundle, None, None).unwrap();
         (meant.into_iter().map(|m| (m.loop_name, m.sample.signal, m.sample.value)).collect(), left)
     }
 
     #[test]
     fn names_say_loop_and_signal() {
         let mut all = bundles("[[bundle]]\nkey = \"gw/**\"\n[[bundle]]\nkey = \"p/**\"\n");
-        assert_eq!((all.codec_of("gw/x"), all.codec_of("p/A/op"), all.codec_of("other")), (Some("auto"), None, None));
+        assert_eq!((all.codec_of("gw/x"), all.codec_of("p/A/op"), all.codec_of("other")), (Some(None), None, None));
         let n = Value::Number;
         let several = r#"{"FIC101.OP": 1, "FIC101.PV": 2, "LIC7": {"op": 3}, "temperature": 4}"#;
         let (found, left) = read(&mut all, "gw/x", several);
@@ -255,7 +255,7 @@ mod tests {
         let mut all = bundles(
             "[input]\ndiscover = false\n[[loop]]\nname = \"A\"\nop = \"gw/plc#x.y\"\npv = \"gw/plc#FIC101.OP\"\n",
         );
-        assert_eq!(all.codec_of("gw/plc"), Some("auto"));
+        assert_eq!(all.codec_of("gw/plc"), Some(None));
         let (found, left) = read(&mut all, "gw/plc", r#"{"x": {"y": 1}, "FIC101.OP": 2, "FIC101.PV": 3}"#);
         let mut signals: Vec<(Signal, Value)> = found.into_iter().map(|(_, signal, value)| (signal, value)).collect();
         signals.sort_by_key(|(signal, _)| signal.name());

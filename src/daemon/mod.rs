@@ -296,7 +296,7 @@ fn run_info(config: &Config, config_text: String, origin: &'static str, daemon_i
         origin,
         config: RecordedConfig::new(config, config_text),
         daemon: daemon_id.to_owned(),
-        raw: config.recording.raw.clone(),
+        raw: config.recording.raw,
         continued: BTreeMap::new(),
     }
 }

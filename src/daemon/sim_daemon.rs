@@ -378,7 +378,7 @@ fn run_of(config: &Config, config_text: &str, clock: &Clock, run_number: u64) ->
         origin: "stage",
         config: RecordedConfig::new(config, config_text.to_owned()),
         daemon: DAEMON_ID.to_owned(),
-        raw: config.recording.raw.clone(),
+        raw: config.recording.raw,
         continued: BTreeMap::new(),
     }
 }

@@ -12,7 +12,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use stiction::core::record::{Mode, Signal, Value};
 use stiction_engine::alarm::{Alarm, Command};
 use stiction_engine::codec::topic::Topic;
-use stiction_engine::codec::{Bundle, MAX_SAMPLES, Memory, decode, decode_fields};
+use stiction_engine::codec::{Bundle, Codec, F64Le, MAX_SAMPLES, Memory, decode, decode_fields};
 use stiction_engine::config::Config;
 use stiction_files::columns::{self, Columns, Row};
 use stiction_files::load_samples;
@@ -124,12 +124,12 @@ fn payloads() {
     ]);
     fuzz("payloads", 20000, &corpus, |bytes| {
         for (signal, encoding, codec) in [
-            (Signal::Op, None, "auto"),
-            (Signal::Mode, Some("application/json"), "auto"),
-            (Signal::Pv, Some("\u{1b};;"), "f64le"),
+            (Signal::Op, None, None),
+            (Signal::Mode, Some("application/json"), None),
+            (Signal::Pv, Some("\u{1b};;"), Some(&F64Le as &dyn Codec)),
         ] {
             let mut samples = Vec::new();
-            let _ = decode(signal, bytes, encoding, Some(codec), 7, &mut samples);
+            let _ = decode(signal, bytes, encoding, codec, 7, &mut samples);
             assert!(samples.len() <= MAX_SAMPLES);
         }
     });
@@ -157,13 +157,13 @@ fn payloads_of_every_format() {
             let (mut memory, mut fields) = (Memory::default(), Vec::new());
             for key in ["p/spBv1.0/g/NBIRTH/n", "p/spBv1.0/g/NDATA/n", "p/x"] {
                 let bundle = Bundle { key, payload: bytes, fallback_t_ns: 7 };
-                let read = decode_fields(&bundle, None, Some(name), &mut memory, &mut fields);
+                let read = decode_fields(&bundle, None, Some(codec), &mut memory, &mut fields);
                 assert!(read.is_ok() || fields.is_empty());
                 assert!(fields.len() <= MAX_SAMPLES);
                 fields.clear();
             }
             let mut samples = Vec::new();
-            let _ = decode(Signal::Op, bytes, None, Some(name), 7, &mut samples);
+            let _ = decode(Signal::Op, bytes, None, Some(codec), 7, &mut samples);
             assert!(samples.iter().all(|s| s.value.as_number().is_none_or(f64::is_finite)));
         });
     }

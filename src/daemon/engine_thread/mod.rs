@@ -54,6 +54,7 @@ use crate::runtime::series::LoopMetrics;
 use stiction::core::record::Sample;
 use stiction::core::units::s_from_ns;
 use stiction_engine::alarm::State;
+use stiction_engine::codec::ConfiguredCodec;
 use stiction_engine::codec::topic::Kind;
 use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, Event, LoopId, SkipReason};
@@ -87,7 +88,7 @@ struct Inputs {
     bundles: Bundles,
     feeds: Feeds,
     senders: Senders,
-    codec: String,
+    codec: ConfiguredCodec,
     /// Counters of payloads by codec.
     codec_counters: Vec<(&'static str, Counter)>,
     /// Messages taken.
@@ -193,7 +194,7 @@ impl EngineThread {
             bundles: Bundles::new(config),
             feeds: Feeds::new(config),
             senders: Senders::default(),
-            codec: config.input.codec.clone(),
+            codec: config.input.codec,
             codec_counters: Vec::new(),
             taken: 0,
             arrival_ns: 0,

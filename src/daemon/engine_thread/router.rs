@@ -11,8 +11,9 @@ use crate::daemon::sink::recorder::Item;
 use crate::daemon::source::Message;
 use crate::runtime::metrics::Label;
 use stiction::core::record::{Sample, Signal};
+use stiction::core::signal::align::Quality;
 use stiction::core::units::s_from_ns;
-use stiction_engine::codec::{self, Bundle, CodecError};
+use stiction_engine::codec::{self, Bundle, CodecError, ConfiguredCodec};
 use stiction_engine::engine::LoopId;
 
 /// How long a change of sources, and two sources of one signal after the last value, remain among the faults.
@@ -26,8 +27,8 @@ const TIMED: u64 = 8;
 impl EngineThread {
     pub(super) fn take_message(&mut self, m: &Message) {
         self.time_intake(m);
-        if let Some(codec) = self.inputs.bundles.codec_of(m.buf.key()).map(str::to_owned) {
-            return self.take_bundle(m, &codec);
+        if let Some(codec) = self.inputs.bundles.codec_of(m.buf.key()) {
+            return self.take_bundle(m, codec);
         }
         let now = self.clock.since(self.started);
         let route = self.inputs.routes.of(m.buf.key(), &mut self.loops.engine, || self.inputs.limits.new_loop(now));
@@ -37,7 +38,7 @@ impl EngineThread {
         samples.clear();
         let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
         let (payload, encoding) = (m.buf.payload(), m.buf.encoding());
-        match codec::decode(signal, payload, encoding, Some(&self.inputs.codec), fallback_ns, &mut samples) {
+        match codec::decode(signal, payload, encoding, self.inputs.codec, fallback_ns, &mut samples) {
             Ok(name) => self.count_codec(name),
             Err(error) => self.count_undecodable(m, &error),
         }
@@ -65,7 +66,7 @@ impl EngineThread {
         if !self.is_within_limits(id, &sample, arrival_ns, now) {
             return;
         }
-        if sample.quality.is_some_and(|q| (1..=255).contains(&q)) && self.config.input.quality == "ua" {
+        if sample.quality.is_some_and(|q| (1..=255).contains(&q)) && self.config.input.quality == Quality::Ua {
             self.metrics.suspicious_quality.inc();
             if !std::mem::replace(&mut self.inputs.warned_quality, true) {
                 let name = self.loops.engine.name(id);
@@ -106,7 +107,7 @@ impl EngineThread {
     }
 
     /// Takes a payload with several signals.
-    fn take_bundle(&mut self, m: &Message, codec: &str) {
+    fn take_bundle(&mut self, m: &Message, codec: ConfiguredCodec) {
         let fallback_t_ns = m.bus_ns.unwrap_or(m.arrival_ns);
         let bundle = Bundle { key: m.buf.key(), payload: m.buf.payload(), fallback_t_ns };
         let read = self.inputs.bundles.read(&bundle, m.buf.encoding(), codec);

@@ -70,7 +70,7 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     let own = z.config_file.is_empty();
     let mut wanted = Vec::new();
     if own {
-        wanted.push(("mode", format!("{:?}", z.mode)));
+        wanted.push(("mode", format!("{:?}", z.mode.name())));
     }
     if own || !z.listen.is_empty() {
         wanted.push(("listen/endpoints", serde_json::to_string(&z.listen)?));

@@ -1,7 +1,7 @@
 //! Decodes payloads to samples, and encodes samples for recordings.
 //!
 //! Each wire format is one file and one entry of [`ALL`]. [`decode`] chooses the format by the message's encoding if it names
-//! one, else by the configured name, else by the bytes. [`decode_fields`] does the same for payloads with several named
+//! one, else by the configuration, else by the bytes. [`decode_fields`] does the same for payloads with several named
 //! signals. No payload can make decoding panic; [`MAX_PAYLOAD`] and [`MAX_SAMPLES`] bound the cost of a payload.
 
 mod cbor;
@@ -32,8 +32,8 @@ pub const MAX_PAYLOAD: usize = 1 << 20;
 /// Most samples per payload.
 pub const MAX_SAMPLES: usize = 100_000;
 
-/// Configured name for choosing the format by the bytes.
-pub const AUTO: &str = "auto";
+/// Word of the configuration for recognising the format by the bytes.
+const AUTO: &str = "auto";
 
 /// One wire format.
 pub trait Codec: Sync {
@@ -69,13 +69,41 @@ pub trait Codec: Sync {
     fn fields(&self, bundle: &Bundle<'_>, memory: &mut Memory, out: &mut Vec<Field>) -> Result<(), CodecError>;
 }
 
+impl core::fmt::Debug for dyn Codec {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl PartialEq for dyn Codec {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name()
+    }
+}
+
+/// The format that a configuration names; `None` to recognise it by the bytes.
+pub type ConfiguredCodec = Option<&'static dyn Codec>;
+
 /// All formats in the order of recognition: those with distinctive marks first.
 pub static ALL: [&dyn Codec; 5] = [&Cbor, &F64Le, &PubSub, &Json, &Sparkplug];
 
-/// The names of all formats.
+/// What a configuration may choose, the default first.
 #[must_use]
-pub fn names() -> Vec<&'static str> {
-    ALL.iter().map(|codec| codec.name()).collect()
+pub fn choices() -> Vec<(&'static str, ConfiguredCodec)> {
+    core::iter::once((AUTO, None)).chain(ALL.map(|codec| (codec.name(), Some(codec)))).collect()
+}
+
+/// Writes the word of a choice, as the configuration has it.
+///
+/// # Errors
+/// Those of the serializer.
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+pub fn serialize_choice<S: serde::Serializer>(choice: &ConfiguredCodec, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(choice.map_or(AUTO, Codec::name))
+}
+
+fn names() -> String {
+    ALL.map(Codec::name).join(", ")
 }
 
 /// A payload without samples.
@@ -129,11 +157,8 @@ pub enum CodecError {
     /// Values without names in a bundle.
     #[error("the values have no names; a [[bundle]] needs a format with names, such as {{\"FIC101.OP\": 42.5}}")]
     NoNames,
-    /// An unknown configured format.
-    #[error("{0:?} is not a format; use auto or one of {all}", all = names().join(", "))]
-    UnknownCodec(String),
     /// The message names an encoding that is not supported.
-    #[error("the encoding {0:?} is not read; send one of {all}, or set codec in the configuration if it is one of these", all = names().join(", "))]
+    #[error("the encoding {0:?} is not read; send one of {all}, or set codec in the configuration if it is one of these", all = names())]
     Encoding(String),
     /// No format recognises the bytes.
     #[error("unknown format ({bytes} bytes, first byte 0x{first:02x}); set codec in the configuration")]
@@ -146,12 +171,6 @@ pub enum CodecError {
     /// A recorded payload that is not exactly one sample with its time.
     #[error("a recorded payload must have exactly one sample with its time, this one has {0}; the file is damaged")]
     NotOneSample(usize),
-}
-
-/// The format with a configured name; `None` for [`AUTO`] and unknown names.
-#[must_use]
-pub fn by_name(name: &str) -> Option<&'static dyn Codec> {
-    ALL.into_iter().find(|codec| codec.name() == name)
 }
 
 /// The format named by a message's encoding, if any: `application/json;schema` is JSON; `application/octet-stream` and a
@@ -170,8 +189,7 @@ fn is_unnamed(encoding: &str) -> bool {
 
 /// Appends the samples of one payload to `out`. Returns the name of the format.
 ///
-/// `encoding` is the message's encoding, `configured` the name in the configuration ([`AUTO`] or `None` to recognise the
-/// bytes). Samples without a time get `fallback_t_ns`.
+/// `encoding` is the message's encoding. Samples without a time get `fallback_t_ns`.
 ///
 /// # Errors
 /// [`CodecError`]; `out` is then unchanged.
@@ -179,7 +197,7 @@ pub fn decode(
     signal: Signal,
     payload: &[u8],
     encoding: Option<&str>,
-    configured: Option<&str>,
+    configured: ConfiguredCodec,
     fallback_t_ns: i64,
     out: &mut Vec<Sample>,
 ) -> Result<&'static str, CodecError> {
@@ -201,7 +219,7 @@ pub fn decode(
 pub fn decode_fields(
     bundle: &Bundle<'_>,
     encoding: Option<&str>,
-    configured: Option<&str>,
+    configured: ConfiguredCodec,
     memory: &mut Memory,
     out: &mut Vec<Field>,
 ) -> Result<&'static str, CodecError> {
@@ -218,14 +236,17 @@ pub fn decode_fields(
 }
 
 /// The format of a payload.
-fn choose(payload: &[u8], encoding: Option<&str>, configured: Option<&str>) -> Result<&'static dyn Codec, CodecError> {
+fn choose(
+    payload: &[u8],
+    encoding: Option<&str>,
+    configured: ConfiguredCodec,
+) -> Result<&'static dyn Codec, CodecError> {
     let Some(&first) = payload.first() else { return Err(CodecError::Empty) };
     if payload.len() > MAX_PAYLOAD {
         return Err(CodecError::TooLarge { bytes: payload.len(), limit: MAX_PAYLOAD });
     }
     match (encoding.and_then(by_encoding), configured) {
-        (Some(codec), _) => Ok(codec),
-        (None, Some(name)) if name != AUTO => by_name(name).ok_or_else(|| CodecError::UnknownCodec(name.to_owned())),
+        (Some(codec), _) | (None, Some(codec)) => Ok(codec),
         // With an unknown encoding, eight bytes would be taken for a number.
         _ if encoding.is_some_and(|named| !is_unnamed(named)) => {
             Err(CodecError::Encoding(encoding.unwrap_or_default().chars().take(60).collect()))
@@ -243,7 +264,7 @@ mod tests {
     use proptest::prelude::*;
     use stiction::core::record::Value;
 
-    fn one(payload: &[u8], encoding: Option<&str>, configured: Option<&str>) -> (&'static str, Value) {
+    fn one(payload: &[u8], encoding: Option<&str>, configured: ConfiguredCodec) -> (&'static str, Value) {
         let mut out = Vec::new();
         let name = decode(Signal::Pv, payload, encoding, configured, 7, &mut out).unwrap();
         assert_eq!(out.len(), 1);
@@ -255,12 +276,12 @@ mod tests {
     fn the_encoding_decides_then_the_configuration_then_the_bytes() {
         let raw = 12.5_f64.to_le_bytes();
         assert_eq!(one(&raw, None, None), ("f64le", Value::Number(12.5)));
-        assert_eq!(one(&raw, Some("zenoh/bytes"), Some("auto")), ("f64le", Value::Number(12.5)));
-        assert_eq!(one(b"12.5", Some("application/json;x"), Some("f64le")), ("json", Value::Number(12.5)));
+        assert_eq!(one(&raw, Some("zenoh/bytes"), None), ("f64le", Value::Number(12.5)));
+        assert_eq!(one(b"12.5", Some("application/json;x"), Some(&F64Le)), ("json", Value::Number(12.5)));
         assert_eq!(one(b"12.50000", None, None), ("json", Value::Number(12.5)));
         assert_eq!(one(&[0; 8], None, None), ("f64le", Value::Number(0.0)));
         let ascii = *b"12.50000";
-        assert_eq!(one(&ascii, None, Some("f64le")).0, "f64le");
+        assert_eq!(one(&ascii, None, Some(&F64Le)).0, "f64le");
         assert_eq!(one(&f64::NAN.to_le_bytes(), None, None), ("f64le", Value::Missing));
         // 50.something whose bytes all happen to be printable.
         let printable = *b"#)9k3.I@";
@@ -270,18 +291,17 @@ mod tests {
     #[test]
     fn refusals_name_the_remedy() {
         let mut out = Vec::new();
-        let mut refuse = |payload: &[u8], encoding, configured| {
+        let mut refuse = |payload: &[u8], encoding, configured: ConfiguredCodec| {
             decode(Signal::Op, payload, encoding, configured, 0, &mut out).unwrap_err()
         };
         assert_eq!(refuse(b"", None, None), CodecError::Empty);
         assert_eq!(refuse(b"\x01\x02", None, None), CodecError::Unrecognised { bytes: 2, first: 1 });
-        assert_eq!(refuse(b"\x01\x02", None, Some("f64le")), CodecError::Length { bytes: 2 });
+        assert_eq!(refuse(b"\x01\x02", None, Some(&F64Le)), CodecError::Length { bytes: 2 });
         for encoding in ["cdr", "ros1", "protobuf", "image/png", "zenoh/serialized"] {
-            let told = refuse(&12.5_f64.to_le_bytes(), Some(encoding), Some(AUTO)).to_string();
+            let told = refuse(&12.5_f64.to_le_bytes(), Some(encoding), None).to_string();
             assert!(told.contains(encoding) && told.contains("codec"), "{told}");
-            assert_eq!(one(&12.5_f64.to_le_bytes(), Some(encoding), Some("f64le")).1, Value::Number(12.5));
+            assert_eq!(one(&12.5_f64.to_le_bytes(), Some(encoding), Some(&F64Le)).1, Value::Number(12.5));
         }
-        assert_eq!(refuse(b"1", None, Some("xml")), CodecError::UnknownCodec("xml".into()));
         assert!(matches!(refuse(&vec![b' '; MAX_PAYLOAD + 1], None, None), CodecError::TooLarge { .. }));
         let crowd = format!("[{}1]", "1,".repeat(MAX_SAMPLES));
         assert_eq!(refuse(crowd.as_bytes(), None, None), CodecError::TooMany { limit: MAX_SAMPLES });
@@ -289,17 +309,15 @@ mod tests {
     }
 
     #[test]
-    fn names_are_unique_and_found() {
-        for codec in ALL {
-            assert_eq!(by_name(codec.name()).map(Codec::name), Some(codec.name()));
-        }
-        assert!(by_name(AUTO).is_none());
+    fn choices_have_different_words() {
+        let words: std::collections::HashSet<_> = choices().into_iter().map(|(word, _)| word).collect();
+        assert_eq!(words.len(), ALL.len() + 1);
     }
 
     proptest! {
         #[test]
         fn no_bytes_panic(payload in proptest::collection::vec(any::<u8>(), 0..200), pick in 0..ALL.len() + 1) {
-            let configured = Some(ALL.get(pick).map_or(AUTO, |codec| codec.name()));
+            let configured = ALL.get(pick).copied();
             let mut out = Vec::new();
             let result = decode(Signal::Mode, &payload, None, configured, 0, &mut out);
             prop_assert!(result.is_ok() || out.is_empty());

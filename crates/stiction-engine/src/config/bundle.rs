@@ -4,23 +4,19 @@ use serde::Serialize;
 use toml::de::DeTable;
 
 use super::reader::{Fault, Lines, TableReader, subtables};
-use crate::codec;
+use crate::codec::{self, ConfiguredCodec};
 
 /// Separator between a key and a name in its payloads, in `[[loop]]`.
 pub const NAME_MARK: char = '#';
 
 /// One key, or several by wildcards.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BundleKey {
     /// Zenoh key expression.
     pub key: String,
-    /// Payload codec: `auto` or the name of one.
-    pub codec: String,
-}
-
-/// Valid codecs.
-pub(super) fn codec_words() -> Vec<&'static str> {
-    std::iter::once(codec::AUTO).chain(codec::names()).collect()
+    /// Payload codec.
+    #[serde(serialize_with = "codec::serialize_choice")]
+    pub codec: ConfiguredCodec,
 }
 
 /// Why a text is not a key expression: parts must not be empty, and wildcards must be whole parts.
@@ -57,7 +53,7 @@ pub(super) fn read_bundles(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<F
                 }
             }
         }
-        let codec = r.word("codec", codec::AUTO, &codec_words());
+        let codec = r.choice("codec", &codec::choices());
         r.close();
         if let Some((key, _)) = key {
             all.push(BundleKey { key, codec });
@@ -68,16 +64,15 @@ pub(super) fn read_bundles(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<F
 
 #[cfg(test)]
 mod tests {
+    use crate::codec;
     use crate::config::Config;
 
     #[test]
     fn bundles_are_read_and_their_faults_told() {
         let text = "[site]\nprefix = \"p\"\n[[bundle]]\nkey = \"gw/spBv1.0/**\"\ncodec = \"sparkplug-b\"\n[[loop]]\nname = \"A\"\nop = \"gw/plc#A.OP\"\n";
         let config = Config::parse(text).unwrap();
-        assert_eq!(
-            (config.bundles[0].key.as_str(), config.bundles[0].codec.as_str()),
-            ("gw/spBv1.0/**", "sparkplug-b")
-        );
+        assert_eq!(config.bundles[0].key, "gw/spBv1.0/**");
+        assert_eq!(config.bundles[0].codec.map(codec::Codec::name), Some("sparkplug-b"));
         let bad = "[site]\nprefix = \"p\"\n[[bundle]]\nkey = \"gw//x\"\n[[bundle]]\nkey = \"a*\"\ncodec = \"xml\"\n[[loop]]\nname = \"A\"\nop = \"gw/plc#\"\n";
         let faults = Config::parse(bad).unwrap_err();
         let seen: Vec<&str> = faults.iter().map(|f| f.key.as_str()).collect();

@@ -183,7 +183,7 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
         root[key] = table.unwrap_or_default();
     }
     root["window"]["max_bytes"] = config.window.max_bytes.into();
-    root["recording"]["raw"] = config.recording.raw.clone().into();
+    root["recording"]["raw"] = config.recording.raw.name().into();
     root["web"]["loop_series"] = config.web.loop_series.into();
     root["web"]["max_loop_series"] = config.web.max_loop_series.into();
     if let (Value::Object(web), Ok(Value::Object(page))) = (&mut root["web"], serde_json::to_value(&config.web.page)) {

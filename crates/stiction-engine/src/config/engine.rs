@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::{Config, LoopConfig};
 use crate::alarm::LoopContext;
 use crate::engine::{EngineSettings, LoopSettings, Origins};
-use stiction::core::signal::align::{AlignParams, Quality};
+use stiction::core::signal::align::AlignParams;
 use stiction::core::units::{LoopKind, ns_from_s};
 use stiction::core::verdict::AssessParams;
 
@@ -39,7 +39,7 @@ impl Config {
             align: AlignParams {
                 lateness_ns: ns_from_s(window.lateness_s),
                 max_gap_s: window.max_gap_s,
-                quality: if self.input.quality == "classic" { Quality::Classic } else { Quality::Ua },
+                quality: self.input.quality,
                 modes: self.input.modes.clone(),
             },
             assess: AssessParams {
@@ -48,7 +48,7 @@ impl Config {
                 min_reversals: window.min_reversals,
                 op_range: own.and_then(|l| l.op_range),
                 op_unit: own.and_then(|l| place_of(l).op_unit),
-                kind: own.and_then(|l| l.kind).and_then(LoopKind::from_name).unwrap_or(kind),
+                kind: own.and_then(|l| l.kind).unwrap_or(kind),
                 prevalence: self.verdict.prevalence,
                 final_element: own.map(|l| l.final_element).unwrap_or_default(),
                 ..AssessParams::default()

@@ -3,10 +3,10 @@
 use serde::Serialize;
 use toml::de::DeTable;
 
-use super::bundle::codec_words;
 use super::reader::{Fault, Lines, TableReader};
-use crate::codec::AUTO;
+use crate::codec::{self, ConfiguredCodec};
 use stiction::core::record::Mode;
+use stiction::core::signal::align::Quality;
 
 /// Default of `[input] queue_bytes`.
 const QUEUE_BYTES: usize = 64 << 20;
@@ -70,10 +70,11 @@ pub struct Input {
     /// Most bytes of messages waiting for the engine.
     #[serde(skip_serializing_if = "is_queue_bytes_default")]
     pub queue_bytes: usize,
-    /// Payload codec: `auto` or the name of one.
-    pub codec: String,
-    /// Convention of quality codes: `ua` or `classic`.
-    pub quality: String,
+    /// Payload codec.
+    #[serde(serialize_with = "codec::serialize_choice")]
+    pub codec: ConfiguredCodec,
+    /// Convention of quality codes.
+    pub quality: Quality,
     /// Numeric codes of controller modes.
     pub modes: Vec<(i64, Mode)>,
 }
@@ -100,8 +101,8 @@ pub(super) fn read_input(r: &mut TableReader<'_, '_>) -> Input {
         max_ahead_s: r.number("max_ahead_s", MAX_AHEAD_S, 0.0, 1e10),
         queue: r.integer("queue", 65_536, 16, 16_777_216) as usize,
         queue_bytes: r.integer("queue_bytes", QUEUE_BYTES as u64, 4_194_304, 1 << 40) as usize,
-        codec: r.word("codec", AUTO, &codec_words()),
-        quality: r.word("quality", "ua", &["ua", "classic"]),
+        codec: r.choice("codec", &codec::choices()),
+        quality: r.choice("quality", &[("ua", Quality::Ua), ("classic", Quality::Classic)]),
         modes,
     }
 }

@@ -119,29 +119,9 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         r.refuse(line, "op_range", format!("[{}, {}] is empty", range[0], range[1]), "write [LOW, HIGH]");
         None
     });
-    let kind = r.text("kind").and_then(|(word, line)| {
-        let found = LoopKind::from_name(&word);
-        if found.is_none() {
-            let known: Vec<&str> = LoopKind::ALL.map(LoopKind::name).to_vec();
-            r.refuse(
-                line,
-                "kind",
-                format!("{word:?} is not a kind of loop"),
-                format!("write one of {}", known.join(", ")),
-            );
-        }
-        found.map(LoopKind::name)
-    });
-    let words = FinalElement::ALL.map(FinalElement::name);
-    let word = r.word("final_element", FinalElement::default().name(), &words);
-    let final_element = FinalElement::ALL.into_iter().find(|one| one.name() == word).unwrap_or_default();
-    let action = r.text("action").and_then(|(word, line)| {
-        let found = [Action::Reverse, Action::Direct].into_iter().find(|action| action.name() == word);
-        if found.is_none() {
-            r.refuse(line, "action", format!("{word:?} is not an action"), "write reverse or direct");
-        }
-        found
-    });
+    let kind = r.choice("kind", &LoopKind::ALL.map(|kind| (kind.name(), Some(kind))));
+    let final_element = r.choice("final_element", &FinalElement::ALL.map(|one| (one.name(), one)));
+    let action = r.choice("action", &[Action::Reverse, Action::Direct].map(|action| (action.name(), Some(action))));
     let upstream = read_upstream(r, name.as_ref().map(|(name, _)| name.as_str()));
     LoopConfig {
         name: name.map(|(n, _)| n).unwrap_or_default(),

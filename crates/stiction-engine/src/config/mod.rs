@@ -10,6 +10,7 @@ mod loops;
 pub(crate) mod reader;
 mod scale;
 mod service;
+mod zenoh;
 
 use serde::Serialize;
 use toml::de::DeTable;
@@ -23,7 +24,8 @@ pub use loops::{Action, setting_of};
 pub use reader::{Fault, Places};
 use reader::{Lines, TableReader, subtable, syntax_fault};
 pub use scale::{Daemon, is_id};
-pub use service::{Commands, Plant, Retention, Summary, VerdictParams};
+pub use service::{Commands, Plant, RawForm, Recording, Retention, Summary, VerdictParams};
+pub use zenoh::{Zenoh, ZenohMode};
 
 use crate::alarm::AlarmParams;
 use crate::engine::{GapParams, WindowParams};
@@ -31,7 +33,7 @@ use crate::hash::short_hash;
 use crate::shard::Shard;
 use stiction::core::record::Signal;
 use stiction::core::signal::history::{LEAST_BYTES, fitting};
-use stiction::core::units::{FinalElement, is_loop_name};
+use stiction::core::units::{FinalElement, LoopKind, is_loop_name};
 
 /// Whether the settings have their defaults.
 fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
@@ -116,37 +118,6 @@ pub struct Site {
     pub prefix: String,
 }
 
-/// `[zenoh]`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Zenoh {
-    /// `peer` or `client`.
-    pub mode: String,
-    /// Endpoints to listen on.
-    pub listen: Vec<String>,
-    /// Endpoints to connect to.
-    pub connect: Vec<String>,
-    /// Whether to look for peers by multicast.
-    pub multicast: bool,
-    /// Path of a full Zenoh configuration; keys set here override it.
-    pub config_file: String,
-}
-
-/// `[recording]`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Recording {
-    /// Folder of the recordings.
-    pub dir: String,
-    /// Seconds between flushes to disk.
-    pub flush_s: f64,
-    /// Size at which a file is closed.
-    pub max_bytes: u64,
-    /// Age at which a file is closed, s.
-    pub max_s: f64,
-    /// Form of raw samples: `json` or `columns`. Not part of [`Config::hash`], because replays are the same.
-    #[serde(skip_serializing)]
-    pub raw: String,
-}
-
 /// `[web]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Web {
@@ -210,7 +181,7 @@ pub struct LoopConfig {
     pub op_range: Option<[f64; 2]>,
     /// Controlled quantity, if the first letters of the name do not give it.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub kind: Option<&'static str>,
+    pub kind: Option<LoopKind>,
     /// Its final element; omitted from [`Config::hash`] while it is a valve.
     #[serde(skip_serializing_if = "is_default")]
     pub final_element: FinalElement,
@@ -285,13 +256,13 @@ impl Config {
         let alarm = read!(alarm, |r: &mut TableReader<'_, '_>| read_alarm(r, AlarmParams::default()));
         let config = Self {
             site: read!(site, read_site),
-            zenoh: read!(zenoh, read_zenoh),
+            zenoh: read!(zenoh, zenoh::read_zenoh),
             input: read!(input, input::read_input),
             window,
             verdict: read!(verdict, service::read_verdict),
             alarm,
             gap: read!(gap, read_gap),
-            recording: read!(recording, read_recording),
+            recording: read!(recording, service::read_recording),
             retention: read!(retention, service::read_retention),
             commands: read!(commands, service::read_commands),
             web: read!(web, read_web),
@@ -362,28 +333,6 @@ fn read_site(r: &mut TableReader<'_, '_>) -> Site {
     Site { prefix }
 }
 
-/// Prefixes of the endpoints that this build supports.
-const PROTOCOLS: [&str; 3] = ["tcp/", "tls/", "unixsock-stream/"];
-
-fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
-    let mode = r.word("mode", "peer", &["peer", "client"]);
-    let (listen, connect) = (r.texts("listen"), r.texts("connect"));
-    for (key, endpoints) in [("listen", &listen), ("connect", &connect)] {
-        for (endpoint, line) in endpoints.iter().filter(|(e, _)| !PROTOCOLS.iter().any(|p| e.starts_with(p))) {
-            let remedy = "write tcp/HOST:PORT, tls/HOST:PORT or unixsock-stream/PATH";
-            r.refuse(*line, key, format!("{endpoint:?} is not an endpoint"), remedy);
-        }
-    }
-    let multicast = r.boolean("multicast", false);
-    let config_file = r.text("config_file").map(|(t, _)| t).unwrap_or_default();
-    if mode == "client" && connect.is_empty() && config_file.is_empty() {
-        let line = r.line();
-        r.refuse(line, "connect", "a client needs a router", "write connect = [\"tcp/HOST:7447\"], or mode = \"peer\"");
-    }
-    let [listen, connect] = [listen, connect].map(|l| l.into_iter().map(|(endpoint, _)| endpoint).collect());
-    Zenoh { mode, listen, connect, multicast, config_file }
-}
-
 fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
     let year_s = 366.0 * 86_400.0;
     let mut w = WindowParams {
@@ -422,16 +371,6 @@ fn read_gap(r: &mut TableReader<'_, '_>) -> GapParams {
     GapParams {
         enabled: r.boolean("enabled", d.enabled),
         budget_evaluations: r.integer("budget_evaluations", d.budget_evaluations, 1_000, 100_000_000),
-    }
-}
-
-fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
-    Recording {
-        dir: r.text("dir").map_or_else(|| "recordings".to_owned(), |(t, _)| t),
-        flush_s: r.number("flush_s", 1.0, 0.01, 3600.0),
-        max_bytes: r.integer("max_bytes", 104_857_600, 10_000, 1_000_000_000_000),
-        max_s: r.number("max_s", 3600.0, 0.1, 31_622_400.0),
-        raw: r.word("raw", "json", &["json", "columns"]),
     }
 }
 

@@ -204,21 +204,16 @@ impl<'a, 'i> TableReader<'a, 'i> {
         false
     }
 
-    /// One of the allowed words.
-    pub fn word(&mut self, key: &'static str, default: &str, allowed: &[&str]) -> String {
-        match self.text(key) {
-            None => default.to_owned(),
-            Some((word, _)) if allowed.contains(&word.as_str()) => word,
-            Some((word, line)) => {
-                self.fault(
-                    line,
-                    key,
-                    format!("{word:?} is not a valid value"),
-                    format!("write one of {}", allowed.join(", ")),
-                );
-                default.to_owned()
-            }
+    /// One of several words; the default without the key.
+    pub fn choice<T: Copy + Default>(&mut self, key: &'static str, choices: &[(&'static str, T)]) -> T {
+        let Some((word, line)) = self.text(key) else { return T::default() };
+        if let Some((_, chosen)) = choices.iter().find(|(one, _)| *one == word) {
+            return *chosen;
         }
+        let words: Vec<&str> = choices.iter().map(|(one, _)| *one).collect();
+        let remedy = format!("write one of {}", words.join(", "));
+        self.fault(line, key, format!("{word:?} is not a valid value"), remedy);
+        T::default()
     }
 
     /// A list of texts, each with its line.

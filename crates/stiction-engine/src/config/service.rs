@@ -1,9 +1,46 @@
-//! Settings of the daemon as a service: retention of recordings, accepted commands, groups of loops, the summary of data health.
+//! Settings of the daemon as a service: recordings and their retention, accepted commands, groups of loops, the summary of data health.
 
 use serde::Serialize;
 
 use super::reader::TableReader;
 use stiction::core::verdict::prevalence::{PREVALENCE, SHARES};
+
+/// `[recording]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Recording {
+    /// Folder of the recordings.
+    pub dir: String,
+    /// Seconds between flushes to disk.
+    pub flush_s: f64,
+    /// Size at which a file is closed.
+    pub max_bytes: u64,
+    /// Age at which a file is closed, s.
+    pub max_s: f64,
+    /// Form of raw samples. Not part of [`Config::hash`], because replays are the same.
+    #[serde(skip_serializing)]
+    pub raw: RawForm,
+}
+
+/// Form of raw samples in a recording.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum RawForm {
+    /// A message for each sample.
+    #[default]
+    Json,
+    /// Columns of many samples.
+    Columns,
+}
+
+impl RawForm {
+    /// Its word in configurations and in a file's metadata.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Json => "json",
+            Self::Columns => "columns",
+        }
+    }
+}
 
 /// `[retention]`; 0 means no limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -97,6 +134,16 @@ impl Default for Summary {
 impl Default for Commands {
     fn default() -> Self {
         Self { enabled: true, per_minute: 300, runs_per_hour: 60 }
+    }
+}
+
+pub(super) fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
+    Recording {
+        dir: r.text("dir").map_or_else(|| "recordings".to_owned(), |(t, _)| t),
+        flush_s: r.number("flush_s", 1.0, 0.01, 3600.0),
+        max_bytes: r.integer("max_bytes", 104_857_600, 10_000, 1_000_000_000_000),
+        max_s: r.number("max_s", 3600.0, 0.1, 31_622_400.0),
+        raw: r.choice("raw", &[RawForm::Json, RawForm::Columns].map(|raw| (raw.name(), raw))),
     }
 }
 

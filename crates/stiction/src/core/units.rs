@@ -235,7 +235,8 @@ pub fn file_stem_of(name: &str) -> String {
 }
 
 /// Controlled quantity of a loop, from the first letter of its tag (ISA 5.1).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum LoopKind {
     /// F.
     Flow,
@@ -408,6 +409,7 @@ mod tests {
         ] {
             assert_eq!(LoopKind::of_tag(tag), kind, "{tag}");
             assert_eq!(LoopKind::from_name(kind.name()), Some(kind));
+            assert_eq!(serde_json::to_value(kind).unwrap(), kind.name());
         }
     }
 }

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use stiction_engine::config::Config;
+use stiction_engine::config::{Config, RawForm};
 use stiction_engine::engine::Origins;
-use stiction_files::columns::{METADATA_COLUMNS, METADATA_RAW};
+use stiction_files::columns::METADATA_RAW;
 use stiction_files::run::{ORIGINS, REFILLED_FROM};
 
 /// Metadata common to all files of a run.
@@ -24,8 +24,8 @@ pub struct RunInfo {
     pub config: RecordedConfig,
     /// Id of the daemon, which its documents carry; empty if there is no daemon.
     pub daemon: String,
-    /// How its samples are written: `json` or `columns`.
-    pub raw: String,
+    /// How its samples are written.
+    pub raw: RawForm,
     /// The segments that continue an earlier run.
     pub continued: BTreeMap<usize, Continued>,
 }
@@ -96,8 +96,8 @@ impl RunInfo {
             metadata.insert(REFILLED_FROM.to_owned(), continued.from.clone());
         }
         // JSON is the default and not stated, as in files from before there was a choice.
-        if self.raw == METADATA_COLUMNS {
-            metadata.insert(METADATA_RAW.to_owned(), self.raw.clone());
+        if self.raw == RawForm::Columns {
+            metadata.insert(METADATA_RAW.to_owned(), self.raw.name().to_owned());
         }
         let edited = !self.config.origins.is_empty();
         metadata.extend(edited.then(|| (ORIGINS.to_owned(), self.config.origins.clone())));

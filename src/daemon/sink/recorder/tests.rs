@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::*;
 use stiction::core::record::Value;
-use stiction_engine::config::Config;
+use stiction_engine::config::{Config, RawForm};
 use stiction_files::disk::{DiskFile, SystemDisk};
 
 fn run() -> RunInfo {
@@ -16,7 +16,7 @@ fn run() -> RunInfo {
         origin: "run",
         config: RecordedConfig::default(),
         daemon: String::new(),
-        raw: "json".to_owned(),
+        raw: RawForm::Json,
         continued: BTreeMap::new(),
     }
 }

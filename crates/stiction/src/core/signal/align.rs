@@ -37,7 +37,8 @@ const MIN_PATIENCE: f64 = 128.0;
 const MAX_PATIENCE: f64 = 2000.0;
 
 /// Convention of quality codes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Quality {
     /// OPC UA status codes: the two upper bits are 0 for good. Codes of classic OPC all look good by this convention.
     #[default]

@@ -146,7 +146,7 @@ fn record(
         origin: "bench",
         config: RecordedConfig::new(config, text.to_owned()),
         daemon: String::new(),
-        raw: config.recording.raw.clone(),
+        raw: config.recording.raw,
         continued: BTreeMap::new(),
     };
     let mut files = Vec::new();
