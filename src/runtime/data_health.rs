@@ -17,7 +17,7 @@ pub struct DataHealthDocument {
     pub schema: &'static str,
     /// The daemon that watches the loops.
     pub daemon: String,
-    /// Identity of this summary: whoever has seen it may drop it.
+    /// Identity of this summary: a consumer that has it already can drop the document.
     pub event_id: String,
     /// When it came due, ns since 1970.
     pub due_ns: i64,

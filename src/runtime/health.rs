@@ -19,15 +19,15 @@ pub type HealthSnapshot = Arc<RwLock<(Instant, Arc<DaemonHealth>)>>;
 pub struct QueueHealth {
     /// Its name.
     pub name: &'static str,
-    /// What waits.
+    /// Items that wait.
     pub length: usize,
-    /// How much may wait.
+    /// Most items that may wait.
     pub limit: usize,
     /// Bytes that wait.
     pub bytes: usize,
     /// Bytes that may wait; 0 where messages are small and of one size.
     pub limit_bytes: usize,
-    /// What found no place.
+    /// Items dropped because the queue was full.
     pub dropped: u64,
 }
 
@@ -52,7 +52,7 @@ pub struct DaemonHealth {
     pub queues: Vec<QueueHealth>,
     /// What has stopped: `recording`, while a file cannot be written or the disk does not keep up.
     pub stopped: Vec<&'static str>,
-    /// What a person should look at.
+    /// Faults that need attention.
     pub faults: Vec<String>,
 }
 

@@ -83,7 +83,7 @@ pub struct Obstacle {
     /// When it began, ms since 1970: the newest sample of a silent loop, the start of the daemon where none has come, else the
     /// start of the first window with it; null where that is unknown.
     pub since_ms: Option<f64>,
-    /// What is wrong, in words.
+    /// The obstacle in words.
     pub words: String,
     /// What to do about it.
     pub remedy: String,

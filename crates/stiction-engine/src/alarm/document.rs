@@ -17,35 +17,35 @@ pub const ALARM_SCHEMA: &str = "stictiond.alarm.v2";
 /// Unit of sizes if none is configured: the unit of OP, whatever that is.
 const OP_UNIT: &str = "OP";
 
-/// What brought a document.
+/// Reason for an alarm document.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Event {
-    /// The condition came.
+    /// The condition appeared.
     Raised,
-    /// It holds, and has become worse.
+    /// The condition holds and has become more severe.
     Worse,
-    /// The condition is over.
+    /// The condition ended.
     Cleared,
     /// A person has acknowledged it.
     Acknowledged,
-    /// A person has put it aside for a time.
+    /// A person shelved the alarm for a time.
     Shelved,
-    /// A person has taken it off the shelf.
+    /// A person unshelved the alarm.
     Unshelved,
-    /// The time on the shelf is over.
+    /// The shelving expired.
     ShelfEnded,
     /// Suppressed by design.
     Suppressed,
-    /// No longer so.
+    /// No longer suppressed by design.
     Unsuppressed,
     /// Taken out of service.
     OutOfService,
     /// Back in service.
     InService,
-    /// The configuration names the loop no longer.
+    /// The loop was removed from the configuration.
     Removed,
-    /// Nothing changed: told again after a restart, under the identity of its last change.
+    /// Nothing changed: repeated after a restart under the identity of its last change.
     Restored,
 }
 
@@ -88,7 +88,7 @@ pub struct LoopContext {
     pub upstream: Vec<String>,
 }
 
-/// Who did something to an alarm, when, and why.
+/// A person's action on an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Mark {
     /// Who.
@@ -99,7 +99,7 @@ pub struct Mark {
     pub at_ns: i64,
     /// The same, RFC 3339.
     pub at: String,
-    /// Until when, event time, ns since 1970; null where it has no end of its own.
+    /// End, event time, ns since 1970; null if none was set.
     pub until_ns: Option<i64>,
     /// The same, RFC 3339.
     pub until: Option<String>,
@@ -131,7 +131,7 @@ pub struct Marks {
 pub struct AlarmWindow {
     /// Stamp of its first sample, ns since 1970.
     pub start_ns: i64,
-    /// Its end and name, ns since 1970.
+    /// Its end, which identifies the window, ns since 1970.
     pub end_ns: i64,
     /// The start, RFC 3339.
     pub start: String,
@@ -143,7 +143,7 @@ pub struct AlarmWindow {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default)]
 pub struct Figures {
-    /// What that window says.
+    /// Verdict of that window.
     pub verdict: Option<String>,
     /// fs + fd, dead band plus stick band.
     pub s: Option<f64>,
@@ -207,21 +207,21 @@ pub struct AlarmDocument {
     /// The loop's name.
     #[serde(rename = "loop")]
     pub loop_name: String,
-    /// Which alarm: `stiction`.
+    /// Kind of alarm: `stiction`.
     pub alarm: &'static str,
-    /// Identity of this change: whoever has seen it may drop it.
+    /// Identity of this change: a consumer that has it already can drop the document.
     pub event_id: String,
     /// Identity that all changes have in common from raising until the alarm is at rest again; null at rest.
     pub occurrence_id: Option<String>,
-    /// What brought this document.
+    /// Reason for this document.
     pub event: Event,
     /// State after it, of ISA-18.2.
     pub state: State,
-    /// Whether the condition holds, wherever the alarm was put.
+    /// Whether the condition holds, even if the alarm is shelved, suppressed or out of service.
     pub active: bool,
     /// What to look at first, while active: follows from class and criticality (3 where that is null).
     pub priority: Option<Priority>,
-    /// How much the loop matters, 1 to 5; null where the configuration has no entry for it: nobody has weighed it.
+    /// Importance of the loop, 1 to 5; null if the configuration gives none.
     pub criticality: Option<u8>,
     /// Part of the plant, from the configuration.
     pub area: Option<String>,
@@ -259,7 +259,7 @@ pub struct AlarmDocument {
     /// What people did to it.
     #[serde(flatten)]
     pub marks: Marks,
-    /// Id of the daemon that says so; absent where none did.
+    /// Id of the daemon that published it; absent if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub daemon: Option<String>,
 }

@@ -24,7 +24,7 @@ struct Said {
 /// Appends the values of a whole payload.
 ///
 /// # Errors
-/// What is wrong, in words.
+/// The fault in words.
 pub(super) fn read(tree: &Json, fallback_t_ns: i64, out: &mut Vec<Field>) -> Result<(), String> {
     let said = Said { t_ns: fallback_t_ns, quality: None };
     match tree {

@@ -67,7 +67,7 @@ pub struct Estimate {
     pub basis: FitBasis,
 }
 
-/// What a fit rests on.
+/// Basis of a fit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FitBasis {

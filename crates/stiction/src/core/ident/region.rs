@@ -25,13 +25,13 @@ pub enum Region {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Size {
-    /// Not so that it matters.
+    /// Negligible.
     None,
-    /// A little.
+    /// Small.
     Weak,
-    /// To be watched.
+    /// Worth watching.
     Moderate,
-    /// To be repaired.
+    /// In need of repair.
     Strong,
 }
 

@@ -8,7 +8,7 @@ use crate::core::verdict::MemberJudgement;
 /// Schema of a group's document.
 pub const GROUP_SCHEMA: &str = "stictiond.group.v1";
 
-/// Loops whose oscillations are one, and which of them makes it.
+/// Loops that share an oscillation, and the loop that causes it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GroupDocument {
@@ -68,7 +68,7 @@ pub struct Span {
     pub end: Moment,
 }
 
-/// What kind of source a group has.
+/// Kind of source of a group.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -83,20 +83,20 @@ pub enum SourceKind {
     CannotTell,
 }
 
-/// What makes a group's oscillation.
+/// Cause of a group's oscillation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Source {
-    /// What kind it is.
+    /// Kind of cause.
     pub kind: SourceKind,
     /// The loop; the likeliest one where it cannot be told; absent where it is outside.
     #[serde(rename = "loop")]
     pub loop_name: Option<String>,
     /// Probability of `kind`, with that loop where it is one.
     pub probability: f64,
-    /// What says so, a sentence each.
+    /// The evidence, one sentence each.
     pub reasons: Vec<String>,
-    /// What would settle it, where it cannot be told.
+    /// The test that would decide, if the windows do not.
     pub next_test: Option<String>,
 }
 

@@ -536,7 +536,7 @@ pub struct Search {
     pub stopped: Ended,
 }
 
-/// A member as its group judges it.
+/// A member's verdict in the light of its group.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MemberJudgement {

@@ -93,11 +93,11 @@ static SHIPPED: LazyLock<Rule> = LazyLock::new(|| {
     serde_json::from_str(include_str!("rule.json")).unwrap_or(nothing)
 });
 
-/// What the rule makes of a record.
+/// The rule's result for a record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Opinion {
-    /// Logit where every feature stands at its mean.
+    /// Logit with every feature at its mean.
     pub base: f64,
     /// Logit of this record.
     pub logit: f64,

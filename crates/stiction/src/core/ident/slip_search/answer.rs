@@ -38,12 +38,12 @@ const AS_GOOD: f64 = 1.01;
 /// s in spans of OP from which an index counts in full: noise and rounding imitate smaller bands.
 pub(crate) const FULL_WEIGHT: f64 = 0.2;
 
-/// What settled the order of the process.
+/// What decided the order of the process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum OrderBy {
-    /// It was asked for.
+    /// It was requested.
     Asked,
     /// The search: a second lag promised too little to be searched with, or nothing but it could be fitted.
     Search,
@@ -55,7 +55,7 @@ pub enum OrderBy {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct OrderChoice {
-    /// What settled it.
+    /// What decided it.
     pub by: OrderBy,
     /// Root mean squared held-out errors of the first and of the second order, PV units, where these settled it.
     pub held_out_rms: Option<[f64; 2]>,
