@@ -121,6 +121,16 @@ pub(crate) const MONTHS: [&[&str]; 12] = [
     &["dec", "dez", "déc", "dic"],
 ];
 
+/// The first letters of days of the week.
+pub(crate) const WEEKDAYS: &str = "mon|tue|wed|thu|fri|sat|sun";
+
+/// Dates as they are written: year first, day first, month first; with points where these part figures, else with hyphens.
+pub(crate) const WRITTEN: [&str; 3] = [
+    "%Y-%m-%d|%y-%m-%d|%Y-%b-%d|%Y.%m.%d",
+    "%d-%m-%Y|%d-%m-%y|%d-%b-%Y|%d-%b-%y|%d.%m.%Y|%d.%m.%y",
+    "%m-%d-%Y|%m-%d-%y|%b-%d-%Y|%b-%d-%y",
+];
+
 /// Words for the halves of the day that Unicode's locales have, without blanks and points: before and after noon.
 pub(crate) const HALF_DAYS: [(&str, &str); 18] = [
     ("am", "pm"),

@@ -1,12 +1,12 @@
 //! The meaning of a whole time column: its form, recognised from all cells, and the instants.
 
-use jiff::civil::DateTime;
 use jiff::tz::Offset;
 
 use super::ExportError;
-use super::stamp::{Civil, HOUR_NS, Number, Order, Stamp};
+use super::columns::TimeColumn;
+use super::stamp::{Civil, HOUR_NS, Number, Order, Stamp, local_ns};
 use super::zone::{Letters, Reading, Zone, in_words};
-use crate::conventions::{BY_SIZE, DATENUM_1970, EXCEL_1904_1970, EXCEL_1970, NET_1970, NUMBERS, unit_of_time};
+use crate::conventions::{BY_SIZE, DATENUM_1970, EXCEL_1904_1970, NET_1970, NUMBERS, unit_of_time};
 use stiction::core::units::{NS_PER_S, format_rfc3339, s_from_ns};
 
 /// Earliest year accepted without an option.
@@ -90,39 +90,26 @@ impl TimeFormat {
     }
 
     /// A number in this format: local time or instant.
-    fn of_number(&self, number: Number) -> Option<Stamp> {
-        match self {
-            Self::Epoch(unit) => {
-                // Binary fractions of a second since 1970 are good to a quarter of a microsecond.
-                number.in_ns(*unit).map(Stamp::Instant)
-            }
+    fn of_number(&self, number: Number) -> Option<Clock> {
+        let (ns, local) = match self {
+            Self::Epoch(unit) => (number.in_ns(*unit)?, false),
             Self::Days(of_1970) => {
                 let days = number.value - *of_1970 as f64;
                 let grains = (days * (DAY_S * NS_PER_S / DAYS_GRAIN_NS) as f64).round();
-                (grains.abs() < 9e12).then(|| Stamp::Local(grains as i64 * DAYS_GRAIN_NS))
+                ((grains.abs() < 9e12).then(|| grains as i64 * DAYS_GRAIN_NS)?, true)
             }
-            Self::Ticks(of_1970) => {
-                let ns = number.whole.checked_sub(*of_1970)?.checked_mul(100)?;
-                Some(if *of_1970 == NET_1970 { Stamp::Local(ns) } else { Stamp::Instant(ns) })
-            }
-            Self::Dated(_) | Self::Pattern(_) => None,
-        }
+            Self::Ticks(of_1970) => (number.whole.checked_sub(*of_1970)?.checked_mul(100)?, *of_1970 == NET_1970),
+            Self::Dated(_) | Self::Pattern(_) => return None,
+        };
+        Some(Clock { ns, local, letters: None })
     }
 }
 
-/// The timestamps of a column and what else is known about them.
+/// The timestamps of a column.
 #[derive(Debug, Default)]
 pub(super) struct Axis {
-    /// The column's name, for messages.
-    pub name: String,
-    /// The unit that the column's name gives: numbers count from any start.
-    pub unit: Option<TimeFormat>,
-    /// Whether the column is called `t`: numbers may count seconds from any start.
-    pub is_t: bool,
-    /// The zone that the column's name gives.
-    pub named_zone: Option<Zone>,
-    /// Letters such as CET in the column's name.
-    pub letters: Option<Letters>,
+    /// The column, and what its name says.
+    pub column: TimeColumn,
     /// One per row.
     pub stamps: Vec<Stamp>,
     /// Line numbers of the rows.
@@ -157,10 +144,8 @@ pub(super) struct Times {
 pub(super) fn end_of_next_year(now_s: i64) -> i64 {
     let now = jiff::Timestamp::from_second(now_s).unwrap_or(jiff::Timestamp::UNIX_EPOCH);
     let year = i64::from(Offset::UTC.to_datetime(now).year()) + 2;
-    jiff::civil::Date::new(i16::try_from(year).unwrap_or(i16::MAX), 1, 1)
-        .ok()
-        .and_then(|d| Offset::UTC.to_timestamp(d.to_datetime(jiff::civil::Time::midnight())).ok())
-        .map_or(i64::MAX / NS_PER_S, jiff::Timestamp::as_second)
+    let start = jiff::civil::Date::new(i16::try_from(year).unwrap_or(i16::MAX), 1, 1).ok();
+    start.and_then(|day| local_ns(day.at(0, 0, 0, 0))).unwrap_or(i64::MAX) / NS_PER_S
 }
 
 impl Axis {
@@ -174,43 +159,38 @@ impl Axis {
     /// Finds the meaning of the column. Each of `groups` is a set of rows with a common clock (all rows, or those of a tag).
     pub(super) fn times(&self, groups: &[Vec<u32>], asked: TimeOptions<'_>) -> Result<Times, ExportError> {
         let (form, why) = self.form(asked)?;
-        let named = self.unit.is_some() || self.is_t;
-        let own = self.is_t && self.unit.is_some();
-        let from_anywhere = named && (own || self.stamps.first().is_some_and(|s| !s.is_dated()));
-        let first_s = if from_anywhere { i64::MIN } else { FIRST_S };
+        let column = &self.column;
+        let numbers = self.stamps.first().is_some_and(|s| !s.is_dated());
+        let from_anywhere = (column.is_t && (numbers || column.unit.is_some())) || (column.unit.is_some() && numbers);
         let clocks = self.clocks(form.as_ref())?;
-        // Some with a zone and some without would be read by two clocks.
-        let local = clocks.iter().position(|(stamp, _)| matches!(stamp, Stamp::Local(_)));
-        let instant = clocks.iter().position(|(stamp, _)| matches!(stamp, Stamp::Instant(_)));
-        if let (Some(local), Some(instant)) = (local, instant) {
-            return Err(self.mixed(local.max(instant), local.min(instant)));
-        }
-        let mut t_ns = vec![0; clocks.len()];
-        let (mut forward, mut backward, mut twice, mut zoned) = (0, 0, 0, false);
+        let mut all = Times { t_ns: vec![0; clocks.len()], words: String::new(), forward: 0, backward: 0 };
+        let (mut twice, mut zone) = (0, None);
         for rows in groups {
-            let read = self.group(rows, &clocks, asked)?;
-            rows.iter().zip(&read.t_ns).for_each(|(row, ns)| t_ns[*row as usize] = *ns);
-            forward += read.forward;
-            backward += read.backward;
-            twice += read.twice;
-            zoned |= read.zoned;
+            let t_ns = match rows.iter().find(|row| clocks[**row as usize].local) {
+                None => rows.iter().map(|row| clocks[*row as usize].ns).collect(),
+                Some(first) => {
+                    let own = self.zone(*first as usize, clocks[*first as usize], asked)?;
+                    zone = Some(own);
+                    let (t_ns, hours) = self.instants(rows, &clocks, own)?;
+                    twice += hours;
+                    t_ns
+                }
+            };
+            let (forward, backward) = steps(&t_ns);
+            (all.forward, all.backward) = (all.forward + forward, all.backward + backward);
             if asked.form.is_none() {
-                self.check(rows, &t_ns, first_s..asked.end_s)?;
-                self.check_sampling(rows, &t_ns)?;
+                self.check(rows, &t_ns, if from_anywhere { i64::MIN } else { FIRST_S }..asked.end_s)?;
             }
             self.check_days(rows, &t_ns)?;
+            rows.iter().zip(t_ns).for_each(|(row, ns)| all.t_ns[*row as usize] = ns);
         }
-        let mut words = form.map_or_else(|| "typed".to_owned(), |f| f.words()) + &why;
-        if let (true, Some(zone)) = (zoned, asked.zone.or(self.named_zone.as_ref())) {
-            words += &format!(", {}", zone.name());
-            if twice > 0 {
-                words += &format!(
-                    " (includes the repeated hour{})",
-                    if twice > groups.len() { " several times" } else { "" }
-                );
-            }
+        all.words = form.map_or_else(|| "typed".to_owned(), |f| f.words()) + why;
+        if let Some(zone) = zone {
+            let more = if twice > groups.len() { " several times" } else { "" };
+            let repeated = if twice > 0 { format!(" (includes the repeated hour{more})") } else { String::new() };
+            all.words += &format!(", {}{repeated}", zone.name());
         }
-        Ok(Times { t_ns, words, forward, backward })
+        Ok(all)
     }
 
     fn fault(&self, row: usize, what: String, remedy: &str) -> ExportError {
@@ -218,355 +198,248 @@ impl Axis {
     }
 
     /// The format of all cells, with the reason if it is not obvious.
-    fn form(&self, asked: TimeOptions<'_>) -> Result<(Option<TimeFormat>, String), ExportError> {
-        if let Some(form) = asked.form {
-            return Ok((Some(form.clone()), String::new()));
-        }
-        let Some((at, first)) =
-            self.stamps.iter().enumerate().find(|(_, s)| matches!(s, Stamp::Number(_) | Stamp::Civil(_)))
-        else {
-            return Ok((None, String::new()));
-        };
-        match first {
-            Stamp::Number(_) => self.form_of_numbers(asked.end_s, at).map(|f| (Some(f), String::new())),
-            _ => self.form_of_dates(asked.end_s),
+    fn form(&self, asked: TimeOptions<'_>) -> Result<(Option<TimeFormat>, &'static str), ExportError> {
+        let written = |s: &Stamp| matches!(s, Stamp::Number(_) | Stamp::Civil(_));
+        match (asked.form, self.stamps.iter().find(|stamp| written(stamp))) {
+            (Some(form), _) => Ok((Some(form.clone()), "")),
+            (None, None) => Ok((None, "")),
+            (None, Some(Stamp::Number(_))) => self.form_of_numbers(asked.end_s).map(|f| (Some(f), "")),
+            (None, Some(_)) => {
+                self.form_of_dates(asked.end_s).map(|(order, why)| (Some(TimeFormat::Dated(order)), why))
+            }
         }
     }
 
     /// The unit in the column's name, else the one for which every number is between 1990 and the end of next year.
-    fn form_of_numbers(&self, end_s: i64, first: usize) -> Result<TimeFormat, ExportError> {
+    fn form_of_numbers(&self, end_s: i64) -> Result<TimeFormat, ExportError> {
         let numbers = self.stamps.iter().enumerate().map(|(row, stamp)| match stamp {
-            Stamp::Number(number) => Ok((row, *number)),
-            _ => Err(self.mixed(row, first)),
+            Stamp::Number(number) => Ok(*number),
+            _ => Err(self.mixed(row)),
         });
-        let numbers: Vec<(usize, Number)> = numbers.collect::<Result<_, _>>()?;
-        let seconds = |form: &TimeFormat, n: Number| match form.of_number(n) {
-            Some(Stamp::Instant(ns) | Stamp::Local(ns)) => Some(ns.div_euclid(NS_PER_S)),
-            _ => None,
+        let numbers: Vec<Number> = numbers.collect::<Result<_, _>>()?;
+        let seconds = |form: &TimeFormat, n: &Number| form.of_number(*n).map(|clock| clock.ns.div_euclid(NS_PER_S));
+        let outside = |form: &TimeFormat, from_s: i64| {
+            numbers.iter().position(|n| seconds(form, n).is_none_or(|s| !(from_s..end_s).contains(&s)))
         };
-        let plausible = |form: &TimeFormat, n: Number| seconds(form, n).is_some_and(|s| (FIRST_S..end_s).contains(&s));
-        if let Some(unit) = &self.unit {
-            self.doubt_days(unit, &numbers, plausible)?;
-            let others =
-                NUMBERS[..BY_SIZE].iter().map(|(_, form)| form).filter(|form| !matches!(form, TimeFormat::Days(_)));
-            let other =
-                others.into_iter().find(|form| *form != unit && numbers.iter().all(|(_, n)| plausible(form, *n)));
-            if let Some(other) = other.filter(|_| numbers.iter().all(|(_, n)| !plausible(unit, *n))) {
-                let (row, number) = numbers[0];
-                let (named, other) = (unit.word(), other.word());
-                let text =
-                    format!("{:?} contains {}, a time of today in {other}, not in {named}", self.name, number.value);
-                return Err(self.fault(row, text, &format!("use --time-format {other} or --time-format {named}")));
+        let mut steps: Vec<f64> = numbers.windows(2).map(|w| (w[1].value - w[0].value).abs()).collect();
+        steps.retain(|step| *step > 0.0);
+        // Whole days are not the sampling of a loop, but seconds of a long record.
+        let is_days = steps.is_empty() || *median(&mut steps) < LONGEST_DAYS;
+        let all = NUMBERS[..BY_SIZE].iter().map(|(_, form)| form);
+        let fits: Vec<&TimeFormat> = all
+            .clone()
+            .filter(|form| (is_days || !matches!(form, TimeFormat::Days(_))) && outside(form, FIRST_S).is_none())
+            .collect();
+        let (name, first) = (&self.column.name, numbers[0].value);
+        let two = |what: String, one: &TimeFormat, other: &TimeFormat| {
+            let remedy = format!("use --time-format {} or --time-format {}", one.word(), other.word());
+            Err(self.fault(0, format!("{name:?} contains {first}, {what}"), &remedy))
+        };
+        let count = TimeFormat::Epoch(NS_PER_S);
+        let by_name = self.column.unit.as_ref().or_else(|| {
+            let counted = fits.iter().all(|form| matches!(form, TimeFormat::Days(_)));
+            (self.column.is_t && counted).then_some(&count)
+        });
+        match (by_name, &fits[..]) {
+            (Some(unit), [other, ..]) if !fits.contains(&unit) => {
+                two(format!("a time of today in {}, not in {}", other.words(), unit.word()), other, unit)
             }
-            let late = numbers.iter().find(|(_, n)| seconds(unit, *n).is_none_or(|s| s >= end_s));
-            return late.map_or(Ok(unit.clone()), |(row, number)| {
-                let text =
-                    format!("{:?} contains {}, in {} later than next year", self.name, number.value, unit.word());
-                Err(self.fault(*row, text, "give the format: --time-format s, ms, us, ns or ticks"))
-            });
-        }
-        let mut left: Vec<&TimeFormat> = NUMBERS[..BY_SIZE].iter().map(|(_, form)| form).collect();
-        for (row, number) in &numbers {
-            left.retain(|form| plausible(form, *number));
-            if left.is_empty() {
-                if self.is_t {
-                    return Ok(TimeFormat::Epoch(NS_PER_S));
-                }
-                let text = format!(
-                    "{:?} contains {}, which is not a time between {FIRST_YEAR} and next year in s, ms, us, ns, ticks, Excel or MATLAB days",
-                    self.name, number.value
+            (Some(unit), _) => outside(unit, i64::MIN).map_or(Ok(unit.clone()), |row| {
+                let what = format!("{name:?} contains {}, in {} later than next year", numbers[row].value, unit.word());
+                Err(self.fault(row, what, "give the format: --time-format s, ms, us, ns or ticks"))
+            }),
+            (None, [one]) => Ok((*one).clone()),
+            (None, [one, other, ..]) => two(format!("which may be {} or {}", one.words(), other.words()), other, one),
+            (None, []) => {
+                let row = all.filter_map(|form| outside(form, FIRST_S)).max().unwrap_or(0);
+                let what = format!(
+                    "{name:?} contains {}, which is not a time between {FIRST_YEAR} and next year in s, ms, us, ns, ticks, Excel or MATLAB days",
+                    numbers[row].value
                 );
                 let remedy =
                     "give the format: --time-format s (from any start), ms, min, h, excel, datenum, or a pattern";
-                return Err(self.fault(*row, text, remedy));
+                Err(self.fault(row, what, remedy))
             }
         }
-        if let [one, other, ..] = left[..] {
-            let text = format!(
-                "{:?} contains {}, which may be {} or {}",
-                self.name,
-                numbers[0].1.whole,
-                one.words(),
-                other.words()
-            );
-            let remedy = format!("choose one: --time-format {} or --time-format {}", other.word(), one.word());
-            return Err(self.fault(numbers[0].0, text, &remedy));
-        }
-        if self.is_t {
-            let seconds = TimeFormat::Epoch(NS_PER_S);
-            self.doubt_days(&seconds, &numbers, plausible)?;
-            if matches!(left[0], TimeFormat::Days(_)) {
-                return Ok(seconds);
-            }
-        }
-        Ok(left[0].clone())
-    }
-
-    /// `t` above 46000 in fine steps may be seconds of a long record, or days of a spreadsheet.
-    fn doubt_days(
-        &self,
-        unit: &TimeFormat,
-        numbers: &[(usize, Number)],
-        plausible: impl Fn(&TimeFormat, Number) -> bool,
-    ) -> Result<(), ExportError> {
-        let Some((row, first)) = numbers.first().filter(|_| *unit == TimeFormat::Epoch(NS_PER_S)) else {
-            return Ok(());
-        };
-        let mut steps: Vec<f64> =
-            numbers.windows(2).map(|w| (w[1].1.value - w[0].1.value).abs()).filter(|s| *s > 0.0).collect();
-        if steps.is_empty() || *median(&mut steps) >= LONGEST_DAYS {
-            return Ok(());
-        }
-        let days = [TimeFormat::Days(EXCEL_1970), TimeFormat::Days(DATENUM_1970)];
-        let days = days.iter().find(|days| numbers.iter().all(|(_, n)| plausible(days, *n)));
-        days.map_or(Ok(()), |days| {
-            let text = format!("{:?} contains {}, which may be seconds or {}", self.name, first.value, days.words());
-            Err(self.fault(*row, text, &format!("use --time-format s or --time-format {}", days.word())))
-        })
     }
 
     /// The order of day, month and year that fits all rows.
-    fn form_of_dates(&self, end_s: i64) -> Result<(Option<TimeFormat>, String), ExportError> {
+    fn form_of_dates(&self, end_s: i64) -> Result<(Order, &'static str), ExportError> {
         let mut left: Vec<Order> = Order::ALL.to_vec();
-        let (mut why, mut first) = (String::new(), None);
+        let mut civils: Vec<Civil> = Vec::new();
         for (row, stamp) in self.stamps.iter().enumerate() {
             let civil = match stamp {
-                Stamp::Civil(civil) => *civil,
-                Stamp::Number(_) => return Err(self.mixed(row, first.unwrap_or(0))),
-                _ => continue,
+                Stamp::Civil(civil) => civil,
+                Stamp::Number(_) => return Err(self.mixed(row)),
+                // Typed dates have one reading.
+                Stamp::Local(_) | Stamp::Instant(_) => continue,
             };
-            let before = left.clone();
-            left.retain(|order| civil.date(*order).is_some());
-            let started = first.get_or_insert(row);
+            let words: Vec<&str> = left.iter().map(|order| order.word()).collect();
+            left.retain(|order| civil.local_ns(*order).is_some());
             if left.is_empty() {
-                let text = if before.len() == 3 {
-                    "this date does not exist".to_owned()
-                } else {
-                    let words: Vec<&str> = before.iter().map(|o| o.word()).collect();
-                    format!("this date cannot be {} like those from line {}", words.join(" or "), self.lines[*started])
-                };
+                let text = format!("this date cannot be {} like those from line {}", words.join(" or "), self.lines[0]);
                 return Err(self.fault(row, text, "correct it, or give the format with --time-format"));
             }
-            if before.len() > 1 && left.len() == 1 && row > *started {
-                why = format!(" (line {} shows it)", self.lines[row]);
-            }
+            civils.push(*civil);
         }
-        // The year tells where only one order lies in the years believed.
-        let believed = |order: &Order| {
-            self.stamps
-                .iter()
-                .filter_map(|s| civil_of(s)?.local_ns(*order))
-                .all(|ns| (FIRST_S..end_s).contains(&ns.div_euclid(NS_PER_S)))
-        };
-        if left.len() > 1 && left.iter().any(believed) {
+        let ns = |order: Order| civils.iter().filter_map(move |civil| civil.local_ns(order));
+        let believed = |order: &Order| ns(*order).all(|ns| (FIRST_S..end_s).contains(&ns.div_euclid(NS_PER_S)));
+        // Day and month in the wrong order leap by a month at midnight.
+        let runs_on = |order: &Order| ns(*order).zip(ns(*order).skip(1)).all(|(a, b)| (b - a).abs() <= HOUR_NS);
+        let same = |left: &[Order]| left.iter().all(|order| ns(*order).eq(ns(left[0])));
+        let told = |left: &[Order]| left.len() == 1 || same(left);
+        let by_hand = told(&left);
+        if !by_hand && left.iter().any(believed) {
             left.retain(believed);
         }
-        if left.len() > 1 {
-            let (order, reason) = self.settle(&left, first.unwrap_or(0))?;
-            return Ok((Some(TimeFormat::Dated(order)), reason));
+        let by_year = told(&left);
+        if !by_year && left.iter().any(runs_on) {
+            left.retain(runs_on);
         }
-        let named = self.stamps.iter().filter_map(civil_of).any(Civil::has_named_month);
-        let why = if named { " with the month's name".to_owned() } else { why };
-        Ok((Some(TimeFormat::Dated(left[0])), why))
+        if !told(&left) {
+            let reading = |order: &Order| {
+                let day = civils[0].local_ns(*order).map(format_rfc3339).unwrap_or_default();
+                format!("{} (--time-format {})", day.get(..10).unwrap_or_default(), order.word())
+            };
+            let readings: Vec<String> = left.iter().map(reading).collect();
+            let text = format!("this date may be {}, and no row of the file decides", readings.join(" or "));
+            return Err(self.fault(0, text, "choose with --time-format"));
+        }
+        let named = civils.iter().any(|civil| civil.named);
+        Ok((
+            left[0],
+            if named {
+                " with the month's name"
+            } else if by_year {
+                ""
+            } else {
+                " (midnight shows it)"
+            },
+        ))
     }
 
-    /// Two orders fit every row: the change at midnight may decide.
-    fn settle(&self, left: &[Order], first: usize) -> Result<(Order, String), ExportError> {
-        let civils: Vec<(usize, Civil)> =
-            self.stamps.iter().enumerate().filter_map(|(row, s)| civil_of(s).map(|c| (row, c))).collect();
-        let same = civils.iter().all(|(_, c)| left.iter().all(|o| c.local_ns(*o) == c.local_ns(left[0])));
-        if same {
-            return Ok((left[0], String::new()));
-        }
-        let mut told: Option<(Order, usize)> = None;
-        for pair in civils.windows(2).filter(|w| !w[0].1.same_date(w[1].1)) {
-            let step = |o: &Order| Some((pair[1].1.local_ns(*o)? - pair[0].1.local_ns(*o)?).abs());
-            let mut near = left.iter().filter(|o| step(o).is_some_and(|s| s <= HOUR_NS));
-            if let (Some(order), None) = (near.next(), near.next()) {
-                if told.is_some_and(|(other, _)| other != *order) {
-                    told = None;
-                    break;
-                }
-                told.get_or_insert((*order, pair[1].0));
-            }
-        }
-        if let Some((order, row)) = told {
-            return Ok((order, format!(" (midnight at line {} shows it)", self.lines[row])));
-        }
-        let readings: Vec<String> = left
-            .iter()
-            .filter_map(|o| civils[0].1.date(*o).map(|d| format!("{d} (--time-format {})", o.word())))
-            .collect();
-        let text = format!("this date may be {}, and no row of the file decides", readings.join(" or "));
-        Err(self.fault(first, text, "choose with --time-format"))
-    }
-
-    fn mixed(&self, row: usize, first: usize) -> ExportError {
-        let text = format!("time written differently from line {}", self.lines.get(first).copied().unwrap_or(0));
+    fn mixed(&self, row: usize) -> ExportError {
+        let text = format!("time written differently from line {}", self.lines.first().copied().unwrap_or(0));
         self.fault(row, text, "write all times alike")
     }
 
-    /// Every timestamp as a local time or an instant.
+    /// Every timestamp as a local time or an instant: of one kind, since others would be read by two clocks.
     fn clocks(&self, form: Option<&TimeFormat>) -> Result<Vec<Clock>, ExportError> {
-        let read = |row: usize, stamp: &Stamp| {
+        let mut clocks: Vec<Clock> = Vec::with_capacity(self.stamps.len());
+        for (row, stamp) in self.stamps.iter().enumerate() {
             let read = match (stamp, form) {
-                (Stamp::Number(n), Some(form)) => form.of_number(*n).map(|s| (s, None)),
-                (Stamp::Civil(c), Some(TimeFormat::Dated(order))) => c.local_ns(*order).map(|ns| match c.offset_s {
-                    Some(offset) => (Stamp::Instant(ns.saturating_sub(i64::from(offset) * NS_PER_S)), None),
-                    None => (Stamp::Local(ns), c.zone),
+                (Stamp::Number(n), Some(form)) => form.of_number(*n),
+                (Stamp::Civil(c), Some(TimeFormat::Dated(order))) => c.local_ns(*order).map(|ns| {
+                    let offset_ns = c.offset_s.map(|offset| i64::from(offset) * NS_PER_S);
+                    let ns = ns.saturating_sub(offset_ns.unwrap_or(0));
+                    Clock { ns, local: offset_ns.is_none(), letters: c.letters }
                 }),
-                (typed @ (Stamp::Local(_) | Stamp::Instant(_)), _) => Some((*typed, None)),
+                (Stamp::Local(ns) | Stamp::Instant(ns), _) => {
+                    Some(Clock { ns: *ns, local: matches!(stamp, Stamp::Local(_)), letters: None })
+                }
                 _ => None,
             };
-            read.ok_or_else(|| {
+            let clock = read.ok_or_else(|| {
                 let form = form.map_or_else(String::new, TimeFormat::words);
                 self.fault(row, format!("this time cannot be read as {form}"), "give another --time-format, or omit it")
-            })
-        };
-        self.stamps.iter().enumerate().map(|(row, stamp)| read(row, stamp)).collect()
+            })?;
+            if clocks.first().is_some_and(|first| first.local != clock.local) {
+                return Err(self.mixed(row));
+            }
+            clocks.push(clock);
+        }
+        Ok(clocks)
     }
 
     /// The zone of local times: as asked, which must be that of the column's name.
-    fn zone<'a>(&'a self, row: usize, clocks: &[Clock], asked: TimeOptions<'a>) -> Result<&'a Zone, ExportError> {
-        match (asked.zone, &self.named_zone) {
+    fn zone<'a>(&'a self, row: usize, first: Clock, asked: TimeOptions<'a>) -> Result<&'a Zone, ExportError> {
+        let name = &self.column.name;
+        match (asked.zone, &self.column.zone) {
             (Some(zone), Some(named)) if !zone.agrees(named) => {
-                let text = format!("the heading {:?} names {}, --tz gives {}", self.name, named.name(), zone.name());
+                let text = format!("the heading {name:?} names {}, --tz gives {}", named.name(), zone.name());
                 Err(self.fault(row, text, &format!("leave --tz out, or give --tz {}", named.name())))
             }
-            (zone, named) => zone.or(named.as_ref()).ok_or_else(|| self.without_zone(row, clocks)),
+            (Some(zone), _) | (None, Some(zone)) => Ok(zone),
+            (None, None) => {
+                let shown = format_rfc3339(first.ns).replace('Z', "").replace('T', " ");
+                let letters = first.letters.or(self.column.letters).map(in_words);
+                let what = letters.map_or_else(
+                    || " without a time zone".to_owned(),
+                    |letters| format!(", and {letters} names a zone for half of the year only"),
+                );
+                let remedy = "give the time zone: --tz Europe/Berlin, or --tz UTC";
+                Err(self.fault(row, format!("{name:?} contains {shown}{what}"), remedy))
+            }
         }
     }
 
-    /// Instants of the rows of one clock.
-    fn group(&self, rows: &[u32], clocks: &[Clock], asked: TimeOptions<'_>) -> Result<Group, ExportError> {
-        let raw = |row: u32| match clocks[row as usize].0 {
-            Stamp::Instant(ns) | Stamp::Local(ns) => ns,
-            Stamp::Number(_) | Stamp::Civil(_) => 0,
-        };
-        let steps = |back: bool| {
-            rows.windows(2).filter(|w| if back { raw(w[1]) < raw(w[0]) } else { raw(w[1]) > raw(w[0]) }).count() as u64
-        };
-        let (forward, backward) = (steps(false), steps(true));
-        let Some(first) = rows.iter().find(|row| matches!(clocks[**row as usize].0, Stamp::Local(_))) else {
-            return Ok(Group {
-                t_ns: rows.iter().map(|row| raw(*row)).collect(),
-                forward,
-                backward,
-                twice: 0,
-                zoned: false,
-            });
-        };
-        let zone = self.zone(*first as usize, clocks, asked)?;
-        let mut ordered: Vec<u32> = rows.to_vec();
-        if backward > forward {
-            ordered.reverse();
-        }
+    /// Instants of local times, and the number of repeated hours.
+    fn instants(&self, rows: &[u32], clocks: &[Clock], zone: &Zone) -> Result<(Vec<i64>, usize), ExportError> {
         let reading = |row: &u32| Reading {
-            local_ns: raw(*row),
-            letters: clocks[*row as usize].1.or(self.letters),
+            local_ns: clocks[*row as usize].ns,
+            letters: clocks[*row as usize].letters.or(self.column.letters),
             line: self.lines[*row as usize],
         };
-        let (mut t_ns, twice) = zone.instants(&ordered.iter().map(reading).collect::<Vec<_>>())?;
+        let mut readings: Vec<Reading> = rows.iter().map(reading).collect();
+        let (forward, backward) = steps(&readings.iter().map(|r| r.local_ns).collect::<Vec<_>>());
+        if backward > forward {
+            readings.reverse();
+        }
+        let (mut t_ns, twice) = zone.instants(&readings)?;
         if backward > forward {
             t_ns.reverse();
         }
-        Ok(Group { t_ns, forward, backward, twice, zoned: true })
+        Ok((t_ns, twice))
     }
 
-    fn without_zone(&self, row: usize, clocks: &[Clock]) -> ExportError {
-        let (Stamp::Local(ns) | Stamp::Instant(ns), zone) = clocks[row] else {
-            return self.fault(row, "unreadable time".into(), "give the format with --time-format");
-        };
-        let shown = format_rfc3339(ns).replace('Z', "").replace('T', " ");
-        let text = match zone {
-            Some(found) => format!(
-                "{:?} contains {shown} {}, whose letters name a zone for half of the year only",
-                self.name,
-                in_words(found)
-            ),
-            None => format!("{:?} contains {shown} without a time zone", self.name),
-        };
-        self.fault(row, text, "give the time zone: --tz Europe/Berlin, or --tz UTC")
-    }
-
+    /// Times are of the years believed, and not faster than loops are sampled.
     fn check(&self, rows: &[u32], t_ns: &[i64], believed_s: std::ops::Range<i64>) -> Result<(), ExportError> {
-        let odd = rows.iter().find(|row| !believed_s.contains(&t_ns[**row as usize].div_euclid(NS_PER_S)));
-        odd.map_or(Ok(()), |row| {
-            let when = format_rfc3339(t_ns[*row as usize]);
-            let text = format!("{:?} gives {when}, which is not between {FIRST_YEAR} and next year", self.name);
-            Err(self.fault(
-                *row as usize,
-                text,
-                "if that is right, give the format: --time-format s, ymd, dmy, mdy or a pattern",
-            ))
-        })
+        let name = &self.column.name;
+        if let Some(at) = t_ns.iter().position(|ns| !believed_s.contains(&ns.div_euclid(NS_PER_S))) {
+            let when = format_rfc3339(t_ns[at]);
+            let text = format!("{name:?} gives {when}, which is not between {FIRST_YEAR} and next year");
+            let remedy = "if that is right, give the format: --time-format s, ymd, dmy, mdy or a pattern";
+            return Err(self.fault(rows[at] as usize, text, remedy));
+        }
+        let mut ordered = t_ns.to_vec();
+        ordered.sort_unstable();
+        let mut steps: Vec<f64> = ordered.windows(2).map(|w| s_from_ns(w[1].saturating_sub(w[0]))).collect();
+        steps.retain(|step_s| *step_s > 0.0);
+        if steps.is_empty() || *median(&mut steps) >= LEAST_SAMPLING_S {
+            return Ok(());
+        }
+        let text = format!("{name:?} steps by {:.3e} s, faster than loops are sampled", median(&mut steps));
+        Err(self.fault(rows[0] as usize, text, "give the format: --time-format s, ms, us, ns, ticks, excel or datenum"))
     }
 
     /// Several rows of one date without a time of day lack it.
     fn check_days(&self, rows: &[u32], t_ns: &[i64]) -> Result<(), ExportError> {
-        let no_clock = |row: &u32| civil_of(&self.stamps[*row as usize]).is_some_and(|civil| civil.clock_ns == 0);
-        let same = rows.windows(2).find(|w| t_ns[w[0] as usize] == t_ns[w[1] as usize]);
-        match same {
-            Some(pair) if rows.iter().all(no_clock) => {
-                let text = format!("{:?} gives the same date as the row before, without a time of day", self.name);
-                Err(self.fault(pair[1] as usize, text, "name a column with date and time: --map t=COLUMN,op=…,pv=…"))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    fn check_sampling(&self, rows: &[u32], t_ns: &[i64]) -> Result<(), ExportError> {
-        let mut ordered: Vec<i64> = rows.iter().map(|row| t_ns[*row as usize]).collect();
-        ordered.sort_unstable();
-        check_sampling(&ordered).map_err(|step_s| {
-            let text = format!("{:?} steps by {step_s:.3e} s, faster than loops are sampled", self.name);
-            self.fault(0, text, "give the format: --time-format s, ms, us, ns, ticks, excel or datenum")
+        let no_clock = |row: &u32| matches!(self.stamps[*row as usize], Stamp::Civil(civil) if civil.clock_ns == 0);
+        let same = t_ns.windows(2).position(|w| w[0] == w[1]);
+        same.filter(|_| rows.iter().all(no_clock)).map_or(Ok(()), |at| {
+            let name = &self.column.name;
+            let text = format!("{name:?} gives the same date as the row before, without a time of day");
+            let remedy = "name a column with date and time: --map t=COLUMN,op=…,pv=…";
+            Err(self.fault(rows[at + 1] as usize, text, remedy))
         })
     }
 }
 
-/// A local time or an instant, and letters such as CEST after it.
-type Clock = (Stamp, Option<Letters>);
-
-struct Group {
-    t_ns: Vec<i64>,
-    forward: u64,
-    backward: u64,
-    twice: usize,
-    zoned: bool,
+/// A local time as if it were UTC, or an instant, and letters such as CEST after it.
+#[derive(Debug, Clone, Copy)]
+struct Clock {
+    ns: i64,
+    local: bool,
+    letters: Option<Letters>,
 }
 
-fn civil_of(stamp: &Stamp) -> Option<Civil> {
-    if let Stamp::Civil(civil) = stamp { Some(*civil) } else { None }
+/// How many steps go forward, and how many back.
+fn steps(t_ns: &[i64]) -> (u64, u64) {
+    let count = |is: fn(i64, i64) -> bool| t_ns.windows(2).filter(|w| is(w[0], w[1])).count() as u64;
+    (count(|a, b| b > a), count(|a, b| b < a))
 }
 
 fn median(values: &mut [f64]) -> &f64 {
     let middle = values.len() / 2;
     values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
-/// Whether the typical step of sorted timestamps is at least a millisecond; else that step in s.
-pub(super) fn check_sampling(ordered_ns: &[i64]) -> Result<(), f64> {
-    let mut steps: Vec<f64> =
-        ordered_ns.windows(2).map(|w| s_from_ns(w[1].saturating_sub(w[0]))).filter(|s| *s > 0.0).collect();
-    if steps.is_empty() {
-        return Ok(());
-    }
-    let step_s = *median(&mut steps);
-    if step_s < LEAST_SAMPLING_S { Err(step_s) } else { Ok(()) }
-}
-
-/// A time by a strftime pattern.
-pub(super) fn by_pattern(pattern: &str, text: &str) -> Option<Stamp> {
-    let parsed = jiff::fmt::strtime::parse(pattern, text).ok()?;
-    if parsed.offset().is_some() {
-        let ns = parsed.to_timestamp().ok()?.as_nanosecond();
-        return i64::try_from(ns).ok().map(Stamp::Instant);
-    }
-    let civil: DateTime = parsed
-        .to_datetime()
-        .or_else(|_| parsed.to_date().map(|d| d.to_datetime(jiff::civil::Time::midnight())))
-        .ok()?;
-    let ns = Offset::UTC.to_timestamp(civil).ok()?.as_nanosecond();
-    i64::try_from(ns).ok().map(Stamp::Local)
 }

@@ -13,7 +13,7 @@ use stiction::core::units::NS_PER_S;
 const LOOKED_AT: usize = 60;
 
 /// Where the time of a row is.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct TimeColumn {
     /// The column.
     pub at: usize,
@@ -197,8 +197,12 @@ impl Finder<'_, '_> {
         let is_t = name.trim().eq_ignore_ascii_case("t");
         let own = is_t && self.is_own();
         let unit = time_unit(&name).or(own.then_some(NS_PER_S)).map(TimeFormat::Epoch);
-        let bracketed = super::names::unit(&name).unwrap_or_default();
-        let (zone, letters) = zone::of_heading(&name, bracketed);
+        let clock = clock_at.map(|at| self.name(at));
+        let (zone, letters) = [Some(&name), clock.as_ref()]
+            .into_iter()
+            .flatten()
+            .map(|name| zone::of_heading(name))
+            .fold((None, None), |(zone, letters), (other, more)| (zone.or(other), letters.or(more)));
         let letters = letters.filter(|_| unit.is_none());
         TimeColumn { at, clock_at, name, unit, is_t, zone, letters }
     }

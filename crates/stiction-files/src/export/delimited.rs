@@ -103,11 +103,7 @@ fn split(text: &str, wanted: Option<u8>) -> Result<(u8, Vec<Row>, usize), Export
 
 /// Whether a row has values: a time or a number.
 fn is_values(row: &[String]) -> bool {
-    row.iter().any(|cell| match Stamp::read(cell) {
-        Some(Stamp::Number(_)) => true,
-        Some(Stamp::Civil(civil)) => super::stamp::Order::ALL.iter().any(|o| civil.date(*o).is_some()),
-        _ => false,
-    })
+    row.iter().any(|cell| Stamp::read(cell).is_some())
 }
 
 /// The row of names among those above the first row of values: of those that fit, the first.

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::cell::{Cell, Table};
-use super::clock::{Axis, TimeFormat, TimeOptions, by_pattern};
+use super::clock::{Axis, TimeOptions};
 use super::columns::{Layout, Shape, TimeColumn, ValueColumn};
 use super::map::Map;
 use super::names::{Role, is_value, role};
@@ -126,14 +126,7 @@ pub(super) fn gather(
     end_s: i64,
 ) -> Result<Contents, ExportError> {
     let decimal = decimal_of(table, layout, stem, options)?;
-    let axes = layout.times.iter().map(|t| Axis {
-        name: t.name.clone(),
-        unit: t.unit.clone(),
-        is_t: t.is_t,
-        named_zone: t.zone.clone(),
-        letters: t.letters,
-        ..Axis::default()
-    });
+    let axes = layout.times.iter().map(|column| Axis { column: column.clone(), ..Axis::default() });
     let mut all = Gatherer {
         options,
         decimal,
@@ -263,11 +256,7 @@ impl Gatherer<'_> {
             (Cell::Number(v), None) => return Number::of_f64(v).map(|n| Some(Stamp::Number(n))).ok_or_else(unreadable),
             _ => return Err(unreadable()),
         };
-        let read = match &self.options.time_format {
-            Some(TimeFormat::Pattern(pattern)) => by_pattern(pattern, text),
-            _ => Stamp::read(text),
-        };
-        read.map(Some).ok_or_else(unreadable)
+        Stamp::by(self.options.time_format.as_ref(), text).map(Some).ok_or_else(unreadable)
     }
 
     /// Starts a series for a recognised tag; keeps the other tags for messages.

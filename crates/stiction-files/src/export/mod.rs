@@ -106,12 +106,10 @@ pub fn moment(text: &str, options: &ReadOptions) -> Result<i64, String> {
     if let Ok(t_ns) = parse_time(text) {
         return Ok(t_ns);
     }
-    let stamp = match &options.time_format {
-        Some(TimeFormat::Pattern(pattern)) => clock::by_pattern(pattern, text),
-        _ => stamp::Stamp::read(text),
-    };
+    let stamp = stamp::Stamp::by(options.time_format.as_ref(), text);
     let stamp = stamp.ok_or_else(|| format!("{text:?} is not a time; write one such as 2026-01-05T08:00:00Z"))?;
-    let mut axis = clock::Axis { name: text.to_owned(), ..clock::Axis::default() };
+    let mut axis = clock::Axis::default();
+    axis.column.name = text.to_owned();
     axis.push(stamp, 0);
     let asked = clock::TimeOptions { form: options.time_format.as_ref(), zone: options.zone.as_ref(), end_s: end_s() };
     let times = axis.times(&[vec![0]], asked).map_err(|e| e.to_string())?;

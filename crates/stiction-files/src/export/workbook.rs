@@ -3,10 +3,9 @@
 use std::io::Cursor;
 
 use calamine::{Data, ExcelDateTime, Reader as _, Xlsx, XlsxError};
-use jiff::tz::Offset;
 
 use super::cell::{Cell, Rows, Table, Take};
-use super::stamp::Stamp;
+use super::stamp::{Stamp, local_ns};
 use super::{Contents, ExportError, ReadOptions, contents_of, guarded};
 
 /// Most rows above a table.
@@ -225,6 +224,5 @@ fn local(when: &ExcelDateTime) -> Option<i64> {
     let (year, month, day, hour, minute, second, milli) = when.to_ymd_hms_milli();
     let signed = |v: u8| i8::try_from(v).ok();
     let day = jiff::civil::Date::new(i16::try_from(year).ok()?, signed(month)?, signed(day)?).ok()?;
-    let stamp = day.at(signed(hour)?, signed(minute)?, signed(second)?, i32::from(milli) * 1_000_000);
-    i64::try_from(Offset::UTC.to_timestamp(stamp).ok()?.as_nanosecond()).ok()
+    local_ns(day.at(signed(hour)?, signed(minute)?, signed(second)?, i32::from(milli) * 1_000_000))
 }

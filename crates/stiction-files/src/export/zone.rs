@@ -1,6 +1,5 @@
 //! Local times to instants: named zones, and the two nights a year when clocks change.
 
-use jiff::civil::DateTime;
 use jiff::tz::{AmbiguousOffset, Offset, TimeZone};
 
 use super::ExportError;
@@ -14,29 +13,24 @@ const NEAR_NS: i64 = HOUR_NS / 2;
 /// Letters behind a time, filled up with zeros.
 pub(super) type Letters = [u8; 5];
 
-/// Whether a word may be the letters of a zone.
-pub(super) fn is_letters(word: &str) -> bool {
-    (2..=5).contains(&word.len()) && word.bytes().all(|b| b.is_ascii_uppercase()) && word != "UTC" && word != "GMT"
-}
-
-/// The letters of a word that is known as such.
-pub(super) fn letters_of(word: &str) -> Option<Letters> {
-    let known = is_letters(word) && LETTERS.iter().any(|(known, _)| *known == word);
-    known.then(|| std::array::from_fn(|at| word.as_bytes().get(at).copied().unwrap_or(0)))
+/// Letters in the form of [`Letters`].
+pub(super) fn letters_of(word: &str) -> Letters {
+    std::array::from_fn(|at| word.as_bytes().get(at).copied().unwrap_or(0))
 }
 
 /// The zone that a heading names, in brackets or as `UTC` with or without hours behind it; or letters such as CET.
-pub(super) fn of_heading(name: &str, bracketed: &str) -> (Option<Zone>, Option<Letters>) {
-    if let Some(letters) = letters_of(bracketed) {
-        return (None, Some(letters));
+pub(super) fn of_heading(name: &str) -> (Option<Zone>, Option<Letters>) {
+    let words = || name.split([' ', '(', ')', '[', ']', '_']).filter(|word| !word.is_empty());
+    let known = |word: &&str| !["UTC", "GMT"].contains(word) && LETTERS.iter().any(|(known, _)| known == word);
+    if let Some(letters) = words().find(known) {
+        return (None, Some(letters_of(letters)));
     }
-    let named = Zone::parse(bracketed).ok().filter(|_| !bracketed.is_empty() && !is_letters(bracketed));
-    let words = name.split([' ', '(', ')', '[', ']', '_', '/']).filter(|word| !word.is_empty());
     let of_word = |word: &str| {
-        let start = word.get(..3).filter(|start| ["utc", "gmt"].contains(&start.to_lowercase().as_str()))?;
-        Zone::parse(if word.len() == start.len() { "UTC" } else { &word[3..] }).ok()
+        let from = word.get(..3).filter(|start| ["utc", "gmt"].contains(&start.to_lowercase().as_str()))?;
+        Zone::parse(if word.len() == from.len() { "UTC" } else { &word[3..] }).ok()
     };
-    (named.or_else(|| words.filter_map(of_word).next_back()), None)
+    let named = super::names::unit(name).and_then(|inside| Zone::parse(inside).ok());
+    (named.or_else(|| words().filter_map(of_word).next_back()), None)
 }
 
 /// A time zone as requested.
@@ -57,44 +51,25 @@ pub(super) struct Reading {
     pub line: u64,
 }
 
-/// Possible meanings of a local time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Meaning {
-    Once(i64),
-    /// In the repeated hour: first pass, second pass.
-    Twice(i64, i64),
-}
-
 impl Zone {
     /// Parses `Europe/Berlin`, `UTC`, `+01:00`, a Windows name, or a POSIX rule such as `CET-1CEST,M3.5.0,M10.5.0/3`.
     ///
     /// # Errors
     /// A sentence that says what is valid.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let of = |zone| Ok(Self { name: text.to_owned(), zone });
-        if text.eq_ignore_ascii_case("utc") || text.eq_ignore_ascii_case("gmt") || text == "Z" {
-            return Ok(Self::utc());
-        }
-        if let Some(offset) = fixed(text) {
-            return of(TimeZone::fixed(offset));
-        }
         let windows = WINDOWS.iter().find(|(name, _)| name.eq_ignore_ascii_case(text)).map(|(_, name)| *name);
-        if let Ok(zone) = TimeZone::get(windows.unwrap_or(text)) {
-            return of(zone);
-        }
-        if text.contains(',')
-            && let Ok(zone) = TimeZone::posix(text)
-        {
-            return of(zone);
+        let zone = match offset_of(text) {
+            Some(Offset::UTC) => return Ok(Self { name: "UTC".to_owned(), zone: TimeZone::UTC }),
+            Some(offset) => Ok(TimeZone::fixed(offset)),
+            None if text.contains(',') => TimeZone::posix(text),
+            None => TimeZone::get(windows.unwrap_or(text)),
+        };
+        if let Ok(zone) = zone {
+            return Ok(Self { name: text.to_owned(), zone });
         }
         Err(format!(
             "{text:?} is not a time zone; write a name such as Europe/Berlin, UTC, or an offset such as +01:00"
         ))
-    }
-
-    /// UTC.
-    pub(super) fn utc() -> Self {
-        Self { name: "UTC".to_owned(), zone: TimeZone::UTC }
     }
 
     /// Whether two zones have the same clocks, by their offsets in each month of a year.
@@ -126,26 +101,25 @@ impl Zone {
         &self.name
     }
 
-    fn meaning(&self, reading: Reading) -> Result<Meaning, ExportError> {
+    /// The instant of a local time, and the second one in the hour that is repeated.
+    fn meaning(&self, reading: Reading) -> Result<(i64, Option<i64>), ExportError> {
         let fault = |what: String, remedy: &str| ExportError::at(reading.line, what, remedy);
-        let civil =
-            civil_of(reading.local_ns).ok_or_else(|| fault("time out of range".into(), "correct the timestamp"))?;
-        let ambiguous = self.zone.to_ambiguous_timestamp(civil);
+        let civil = jiff::Timestamp::from_nanosecond(i128::from(reading.local_ns)).map(|t| Offset::UTC.to_datetime(t));
+        let civil = civil.map_err(|_| fault("time out of range".into(), "correct the timestamp"))?;
         let instant = |offset: Offset| {
             let ns = offset.to_timestamp(civil).ok().and_then(|t| i64::try_from(t.as_nanosecond()).ok());
             ns.ok_or_else(|| fault(format!("{civil} is out of range"), "correct the timestamp"))
         };
-        match ambiguous.offset() {
-            AmbiguousOffset::Unambiguous { offset } => Ok(Meaning::Once(instant(offset)?)),
+        match self.zone.to_ambiguous_timestamp(civil).offset() {
+            AmbiguousOffset::Unambiguous { offset } => Ok((instant(offset)?, None)),
             AmbiguousOffset::Fold { before, after } => {
-                let wanted = |offset: &&Offset| {
-                    let letters = reading.letters.map(in_words);
-                    let there = offset.to_timestamp(civil).ok();
-                    letters.is_some_and(|l| there.is_some_and(|t| self.zone.to_offset_info(t).abbreviation() == l))
+                let own = |offset: &&Offset| {
+                    let there = offset.to_timestamp(civil).ok().map(|t| self.zone.to_offset_info(t));
+                    there.is_some_and(|info| reading.letters == Some(letters_of(info.abbreviation())))
                 };
-                match [before, after].iter().find(wanted) {
-                    Some(offset) => Ok(Meaning::Once(instant(*offset)?)),
-                    None => Ok(Meaning::Twice(instant(before)?, instant(after)?)),
+                match [before, after].iter().find(own) {
+                    Some(offset) => Ok((instant(*offset)?, None)),
+                    None => Ok((instant(before)?, Some(instant(after)?))),
                 }
             }
             AmbiguousOffset::Gap { .. } => Err(fault(
@@ -157,24 +131,17 @@ impl Zone {
 
     /// Local times in time order to ns since 1970 UTC; also the number of repeated hours.
     pub(super) fn instants(&self, readings: &[Reading]) -> Result<(Vec<i64>, usize), ExportError> {
-        let meanings: Vec<Meaning> = readings.iter().map(|r| self.meaning(*r)).collect::<Result<_, _>>()?;
-        let mut out = Vec::with_capacity(readings.len());
+        let meanings: Vec<(i64, Option<i64>)> = readings.iter().map(|r| self.meaning(*r)).collect::<Result<_, _>>()?;
+        let mut out: Vec<i64> = meanings.iter().map(|(first, _)| *first).collect();
         let (mut at, mut twice) = (0, 0);
-        while at < meanings.len() {
-            if let Meaning::Once(ns) = meanings[at] {
-                out.push(ns);
-                at += 1;
-                continue;
+        for run in meanings.chunk_by(|a, b| a.1.is_some() == b.1.is_some()) {
+            let to = at + run.len();
+            if run[0].1.is_some() {
+                let second = at + self.first_pass(readings, at, to)?;
+                (second..to).for_each(|k| out[k] = meanings[k].1.unwrap_or(out[k]));
+                twice += 1;
             }
-            let run = meanings[at..].iter().take_while(|m| matches!(m, Meaning::Twice(..))).count();
-            let first_pass = self.first_pass(readings, at, at + run)?;
-            out.extend(meanings[at..at + run].iter().enumerate().map(|(k, m)| match *m {
-                Meaning::Twice(first, _) if k < first_pass => first,
-                Meaning::Twice(_, second) => second,
-                Meaning::Once(ns) => ns,
-            }));
-            twice += 1;
-            at += run;
+            at = to;
         }
         readings.iter().zip(&out).try_for_each(|(reading, t_ns)| self.check_letters(*reading, *t_ns))?;
         Ok((out, twice))
@@ -207,21 +174,18 @@ impl Zone {
     }
 }
 
-fn fixed(text: &str) -> Option<Offset> {
-    let figures = text.strip_prefix("UTC").unwrap_or(text);
-    let sign = match figures.chars().next()? {
-        '+' => 1,
-        '-' => -1,
-        _ => return None,
-    };
-    let (hours, minutes) = figures[1..].split_once(':').unwrap_or((&figures[1..], "0"));
-    let seconds = hours.parse::<i32>().ok()? * 3600 + minutes.parse::<i32>().ok().filter(|m| (0..60).contains(m))? * 60;
-    (seconds <= 15 * 3600).then(|| Offset::from_seconds(sign * seconds).ok()).flatten()
-}
-
-fn civil_of(local_ns: i64) -> Option<DateTime> {
-    let stamp = jiff::Timestamp::from_nanosecond(i128::from(local_ns)).ok()?;
-    Some(Offset::UTC.to_datetime(stamp))
+/// `Z`, `UTC`, `GMT+1`, `+01:00`, `-0530`, `+2`.
+pub(super) fn offset_of(text: &str) -> Option<Offset> {
+    let upper = text.to_ascii_uppercase();
+    let signed = ["UTC", "GMT"].iter().find_map(|start| upper.strip_prefix(start)).unwrap_or(&upper).trim_start();
+    if (signed.is_empty() && !text.is_empty()) || signed == "Z" {
+        return Some(Offset::UTC);
+    }
+    let figures = signed.strip_prefix(['+', '-'])?.replace(':', "");
+    let (hours, minutes) = figures.split_at_checked(2).unwrap_or((&figures, ""));
+    let number = |text: &str, below: i32| text.parse::<i32>().ok().filter(|n| (0..below).contains(n));
+    let seconds = number(hours, 16)? * 3600 + if minutes.is_empty() { 0 } else { number(minutes, 60)? * 60 };
+    Offset::from_seconds(if signed.starts_with('-') { -seconds } else { seconds }).ok()
 }
 
 /// The letters as text.
@@ -236,11 +200,7 @@ mod tests {
 
     fn readings(texts: &[&str]) -> Vec<Reading> {
         let reading = |text: &str| {
-            let (text, letters) = text.split_once(' ').map_or((text, None), |(t, z)| {
-                let mut letters = [0; 5];
-                letters[..z.len()].copy_from_slice(z.as_bytes());
-                (t, Some(letters))
-            });
+            let (text, letters) = text.split_once(' ').map_or((text, None), |(t, z)| (t, Some(letters_of(z))));
             Reading { local_ns: parse_time(&format!("{text}Z")).unwrap(), letters, line: 2 }
         };
         texts.iter().map(|t| reading(t)).collect()
@@ -296,19 +256,23 @@ mod tests {
 
     #[test]
     fn headings_name_zones() {
-        let of = |name: &str, bracketed: &str| of_heading(name, bracketed).0.map(|zone| zone.name().to_owned());
-        for (name, bracketed, zone) in [
-            ("Time (UTC)", "UTC", Some("UTC")),
-            ("timestamp_utc", "", Some("UTC")),
-            ("Timestamp GMT+1", "", Some("+1")),
-            ("Time (UTC+02:00)", "UTC+02:00", Some("UTC+02:00")),
-            ("Time (Europe/Berlin)", "Europe/Berlin", Some("Europe/Berlin")),
-            ("Time", "", None),
-            ("Time (local)", "local", None),
+        let of = |name: &str| of_heading(name).0.map(|zone| zone.name().to_owned());
+        for (name, zone) in [
+            ("Time (UTC)", Some("UTC")),
+            ("timestamp_utc", Some("UTC")),
+            ("Timestamp GMT+1", Some("+1")),
+            ("Time (UTC+02:00)", Some("UTC+02:00")),
+            ("Time (Europe/Berlin)", Some("Europe/Berlin")),
+            ("Time (W. Europe Standard Time)", Some("W. Europe Standard Time")),
+            ("Time", None),
+            ("Time (local)", None),
         ] {
-            assert_eq!(of(name, bracketed).as_deref(), zone, "{name}");
+            assert_eq!(of(name).as_deref(), zone, "{name}");
         }
-        assert_eq!(of_heading("Zeit [MESZ]", "MESZ").1, Some(*b"MESZ\0"));
+        assert_eq!(
+            ["Zeit [MESZ]", "Time CET", "t [s]"].map(|name| of_heading(name).1),
+            [Some(*b"MESZ\0"), Some(*b"CET\0\0"), None]
+        );
     }
 
     #[test]
