@@ -9,11 +9,12 @@
 //! The sampling time decides: sample k is at the first timestamp plus k sampling times, whatever the other timestamps say.
 
 use super::LoadedLoop;
+use super::export::utc;
 use super::mat::{self, Mat, MatError};
 use std::io::Write;
 use std::path::Path;
 use stiction::core::record::{Mode, Sample, Signal, Value};
-use stiction::core::units::{NS_PER_S, format_rfc3339, parse_time, s_from_ns};
+use stiction::core::units::{NS_PER_S, format_rfc3339, s_from_ns};
 use thiserror::Error;
 
 /// Variable with the number of loops.
@@ -285,7 +286,7 @@ fn one_loop(name: &str, value: &Mat, warnings: &mut Vec<String>) -> Result<Compa
         }
     }
     let stamps = value.field(STAMPS).map(lines).unwrap_or_default();
-    let start_ns = stamps.first().and_then(|text| stamp(text));
+    let start_ns = stamps.first().and_then(|text| utc(text));
     if start_ns.is_none() {
         let said =
             stamps.first().map_or("is missing".to_owned(), |text| format!("begins with {text:?}, which is not a time"));
@@ -293,7 +294,7 @@ fn one_loop(name: &str, value: &Mat, warnings: &mut Vec<String>) -> Result<Compa
     } else if stamps.len() != rows.len() {
         let counts = (stamps.len(), rows.len());
         warn(format!(".{STAMPS} has {} rows, the data {}; the sampling time is used", counts.0, counts.1));
-    } else if let (Some(start), Some(last)) = (start_ns, stamps.last().and_then(|text| stamp(text))) {
+    } else if let (Some(start), Some(last)) = (start_ns, stamps.last().and_then(|text| utc(text))) {
         let (said, ruled) = (s_from_ns(last.saturating_sub(start)), ts_s * (rows.len() - 1) as f64);
         // Stamps may be rounded to whole seconds.
         if (said - ruled).abs() > ts_s.max(1.0) {
@@ -345,25 +346,6 @@ fn lines(value: &Mat) -> Vec<String> {
         Mat::Numbers { values, .. } => values.iter().map(ToString::to_string).collect(),
         _ => Vec::new(),
     }
-}
-
-/// Parses a timestamp: RFC 3339, MATLAB's `05-Jan-2026 08:00:00`, or either without a zone, which is then UTC. Plain numbers
-/// are not timestamps, because their unit is unknown.
-fn stamp(text: &str) -> Option<i64> {
-    const MONTHS: [&str; 12] = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"];
-    let text = text.trim();
-    if text.parse::<f64>().is_ok() {
-        return None;
-    }
-    let mut parts = text.splitn(3, '-');
-    let (day, month, rest) = (parts.next()?, parts.next()?, parts.next()?);
-    let named = MONTHS.iter().position(|m| month.eq_ignore_ascii_case(m));
-    let iso = match (named, rest.split_once(' ').unwrap_or((rest, ""))) {
-        (Some(month), (year, time)) => format!("{year}-{:02}-{day:0>2} {time}", month + 1),
-        (None, _) => text.to_owned(),
-    };
-    let iso = if iso.len() <= 11 { format!("{} 00:00:00", iso.trim()) } else { iso };
-    parse_time(&iso).or_else(|_| parse_time(&format!("{iso}Z"))).ok()
 }
 
 /// Writes a store; compressed as by `save -v7` if `deflated`, else as by `save -v6`.

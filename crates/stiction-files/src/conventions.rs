@@ -29,11 +29,37 @@ pub(crate) const SIGNS: &str = "-|--|---|?|\\n";
 
 pub(crate) const STARTS: &str = "1.#|-1.#|bad|[-|#n/|#value|#div|#ref|#num";
 
-/// Numbers that loggers and archives write in place of a value.
-pub(crate) const SENTINELS: [f64; 21] = [
-    -9999.0, -999.0, -999.25, -9999.25, -999.99, -99.99, -99999.0, -999_999.0, 999.0, 999.99, 9999.0, 99_999.0,
-    999_999.0, -32768.0, 32767.0, 65535.0, -1e30, 1e30, 1e31, 3.4e38, -3.4e38,
+/// Numbers that loggers and archives write in place of a value, and the least of those that are no value of any signal.
+pub(crate) const SENTINELS: [f64; 27] = [
+    -99.99,
+    -999.0,
+    -999.25,
+    -999.99,
+    -8888.0,
+    -9999.0,
+    -9999.25,
+    -9999.9,
+    -9999.99,
+    -99_999.0,
+    -999_999.0,
+    -9_999_999.0,
+    999.0,
+    999.99,
+    8888.0,
+    9999.0,
+    9999.9,
+    9999.99,
+    99_999.0,
+    999_999.0,
+    9_999_999.0,
+    -32_768.0,
+    32_767.0,
+    65_535.0,
+    2_147_483_647.0,
+    -2_147_483_648.0,
+    4_294_967_295.0,
 ];
+pub(crate) const NO_VALUE: f64 = 1e30;
 
 /// Units that stand behind numbers in cells, in lower case.
 pub(crate) const UNITS: &str = "%|°c|degc|deg c|°f|degf|deg f|bar|barg|bara|mbar|pa|hpa|kpa|mpa|psi|psig|psia|mmhg|inh2o|kg|kg/s|kg/h|kg/hr|t/h|\
@@ -79,7 +105,7 @@ pub(crate) const TIMES: &str = "t|ts|time|timestamp|time stamp|date|datetime|dat
     log time|logtime|recorded time|index|tijd|tidpunkt";
 pub(crate) const DATES: &str = "date|datum|fecha|day|tag";
 pub(crate) const TAGS: &str = "tag|tagname|tag name|tag id|name|point|pointname|point name|point id|item|itemid|item id|item name|signal|\
-    signal name|variable|sensor|series|data point";
+    signal name|variable|sensor|series|data point|field";
 pub(crate) const HEADS: &str = "value|val|wert|valeur|valor|reading|numeric value|value num|value double|vvalue|pvalue|data|data value|\
     messwert";
 

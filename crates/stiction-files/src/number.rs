@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 
-use crate::conventions::{MISSING, SENTINELS, SIGNS, STARTS, UNITS, is_one_of};
+use crate::conventions::{MISSING, NO_VALUE, SENTINELS, SIGNS, STARTS, UNITS, is_one_of};
 
 /// Decimal separator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -26,7 +26,7 @@ pub(super) enum Hint {
 
 /// A number that loggers write for a missing value, in a column whose other values are far from it.
 pub(super) fn sentinel(values: impl Iterator<Item = f64> + Clone) -> Option<f64> {
-    let is = |v: f64| v.abs() == f64::MAX || SENTINELS.iter().any(|s| (v - s).abs() <= 1e-6 * s.abs());
+    let is = |v: f64| v.abs() >= NO_VALUE || SENTINELS.iter().any(|s| (v - s).abs() <= 1e-6 * s.abs());
     let found = values.clone().find(|v| is(*v))?;
     let (low, high) =
         values.filter(|v| !is(*v)).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));

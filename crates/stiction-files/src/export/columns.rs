@@ -4,9 +4,10 @@ use super::ExportError;
 use super::cell::{Cell, Table};
 use super::clock::TimeFormat;
 use super::map::{Map, Part, same};
-use super::names::{doubt_of, is_date, is_tag, is_time, is_value, plain, quality_of, role, time_unit};
+use super::names::{doubt_of, is_date, is_ending, is_tag, is_time, is_value, plain, quality_of, role, time_unit};
 use super::stamp::Stamp;
 use super::zone::{self, Letters, Zone};
+use crate::conventions::unit_of_time;
 use stiction::core::units::NS_PER_S;
 
 /// Rows examined to recognise columns.
@@ -54,7 +55,14 @@ pub(super) enum Shape {
     /// One column per tag.
     Wide(Vec<ValueColumn>),
     /// One row per value.
-    Long { tag: usize, value: usize, quality: Option<usize>, doubts: Vec<usize> },
+    Long {
+        tag: usize,
+        /// The column of the loops, where the tags are those of signals.
+        of: Option<usize>,
+        value: usize,
+        quality: Option<usize>,
+        doubts: Vec<usize>,
+    },
 }
 
 /// Time and value columns of a table.
@@ -223,6 +231,12 @@ impl Finder<'_, '_> {
         if let Some(at) = self.mapped(Part::Time)? {
             return Ok(vec![self.time(at, self.clock_of(at))]);
         }
+        let small = |name: &&String| unit_of_time(&plain(name)).is_some_and(|unit_ns| unit_ns < NS_PER_S);
+        if let Some(part) = self.table.names.iter().find(small) {
+            let text = format!("the column {part:?} seems to be a part of the time");
+            let remedy = "join it with the time in one column, or choose the time without it: --map t=COLUMN,op=…,pv=…";
+            return Err(ExportError::at(self.table.line, text, remedy));
+        }
         let dates: Vec<usize> = (0..self.seen.len()).filter(|at| self.seen[*at].is_dates()).collect();
         let clocks: Vec<usize> = (0..self.seen.len()).filter(|at| self.seen[*at].is_clocks()).collect();
         if let (&[date], &[clock]) = (&dates[..], &clocks[..]) {
@@ -237,7 +251,7 @@ impl Finder<'_, '_> {
         // Typed and written dates need no name; numbers do.
         let mut found = if dates.is_empty() { named } else { dates };
         if found.len() > 1 {
-            let by_source = |at: &&usize| plain(&self.name(**at)).contains("source");
+            let by_source = |at: &&usize| plain(&self.name(**at)).contains("source") || self.name(**at) == "_time";
             if let Some(source) = found.iter().find(by_source) {
                 found = vec![*source];
             } else if self.is_long_by_names() {
@@ -274,7 +288,10 @@ impl Finder<'_, '_> {
         match (tag, value) {
             (Some(tag), Some(value)) if times.len() == 1 => {
                 let doubts = (0..names.len()).filter(|at| self.marks && doubt_of(&names[*at]).is_some()).collect();
-                Ok(Some(Shape::Long { tag, value, quality: quality.filter(|q| *q != tag && *q != value), doubts }))
+                let quality = quality.filter(|q| *q != tag && *q != value);
+                // InfluxDB parts the name of a series.
+                let of = names.iter().position(|name| name == "_measurement").filter(|_| names[tag] == "_field");
+                Ok(Some(Shape::Long { tag, of, value, quality, doubts }))
             }
             _ => Ok(None),
         }
@@ -370,15 +387,12 @@ impl Finder<'_, '_> {
         let names = &self.table.names;
         for (at, of) in named {
             let own = |value: &ValueColumn| names.get(value.at).map_or_else(|| value.tag.clone(), |name| plain(name));
-            let signal = |value: &ValueColumn| role(&value.tag).map(|role| role.signal.name().to_owned());
-            let mut found = values.iter_mut().filter(|v| own(v) == *of).peekable();
-            if found.peek().is_some() {
-                found.for_each(|value| give(value, *at));
-                continue;
-            }
-            let mut found = values.iter_mut().filter(|v| signal(v).as_deref() == Some(of)).peekable();
-            if found.peek().is_some() {
-                found.for_each(|value| give(value, *at));
+            let same =
+                |v: &ValueColumn| own(v).strip_prefix(of.as_str()).is_some_and(|end| end.is_empty() || is_ending(end));
+            let signal = |v: &ValueColumn| role(&v.tag).is_some_and(|role| role.signal.name() == of);
+            let (whole, short) = (values.iter().any(same), values.iter().any(signal));
+            if whole || short {
+                values.iter_mut().filter(|v| if whole { same(v) } else { signal(v) }).for_each(|v| give(v, *at));
             } else if values.iter().any(|v| role(&v.tag).is_some() && own(v).starts_with(of.as_str())) {
                 return Err(self.whose(*at));
             }

@@ -31,36 +31,27 @@ pub(super) struct Series {
     pub quality: Option<String>,
     /// The samples in the order of the rows.
     pub samples: Vec<Taken>,
+    /// The time axis.
+    axis: usize,
+    /// The first text that counts as missing, with its line.
+    first_text: Option<(u64, String)>,
+    /// The unit behind its numbers.
+    unit_in_cells: Option<String>,
 }
 
 /// One cell of a series.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Taken {
+    /// Row of the time axis.
+    row: u32,
     /// Time, ns since 1970.
     pub t_ns: i64,
     /// The value; missing where its quality is bad.
     pub value: Value,
     /// Whether the cell was empty.
     pub empty: bool,
-    /// Whether its quality is bad.
-    pub bad: bool,
-}
-
-/// A series under construction.
-struct Open {
-    tag: String,
-    role: Role,
-    unit: Option<String>,
-    quality: Option<String>,
-    axis: usize,
-    rows: Vec<u32>,
-    values: Vec<(Value, bool)>,
-    marks: Vec<Mark>,
-    numbers: u64,
-    /// The first text that counts as missing, with its line.
-    first_text: Option<(u64, String)>,
-    /// The unit behind its numbers.
-    unit_in_cells: Option<String>,
+    /// Its quality.
+    pub mark: Mark,
 }
 
 /// The role of a tag, from its name or from --map.
@@ -102,7 +93,7 @@ struct Gatherer<'o> {
     options: &'o ReadOptions,
     decimal: Decimal,
     axes: Vec<Axis>,
-    open: Vec<Open>,
+    open: Vec<Series>,
     by_tag: HashMap<String, Option<usize>>,
     ignored: Vec<String>,
     words: BTreeMap<String, u64>,
@@ -154,7 +145,7 @@ fn wanted<'l>(columns: &'l [ValueColumn], stem: &str, map: Option<&Map>) -> Vec<
     tagged.filter(|(_, tag)| role_of(tag, map).is_some()).collect()
 }
 
-/// Decimal separator: the one given, else the one that the numbers show.
+/// Decimal separator: the one given, else the one that the numbers of the signals show, else any other cell.
 ///
 /// Where each number has three figures behind its only separator, these are decimals in a comma-separated file; else nothing
 /// shows it.
@@ -166,47 +157,44 @@ fn decimal_of(table: &Table<'_>, layout: &Layout, stem: &str, options: &ReadOpti
         Shape::Wide(columns) => wanted(columns, stem, options.map.as_ref()).iter().map(|(c, _)| c.at).collect(),
         Shape::Long { value, .. } => vec![*value],
     };
-    let (mut sure, mut either) = ([0_u64; 2], [0_u64; 2]);
-    let place = |kind: Decimal| usize::from(kind == Decimal::Comma);
+    // The first lines with each separator: for sure, for one of two reasons, and in other columns.
+    let (mut sure, mut either, mut elsewhere) = ([0_u64; 2], [0_u64; 2], [0_u64; 2]);
     let mut rows = 0;
     table.rows.each(&mut |line, cells| {
         rows += 1;
-        for column in &columns {
-            let Some(Cell::Text(text)) = cells.get(*column) else { continue };
-            let text = with_unit(text).0;
-            let first = |seen: &mut u64| {
-                if *seen == 0 {
-                    *seen = line;
-                }
+        for (at, cell) in cells.iter().enumerate() {
+            let Cell::Text(text) = cell else { continue };
+            let own = columns.contains(&at);
+            let (seen, kind) = match hint(with_unit(text).0) {
+                Hint::Sure(kind) if own => (&mut sure, kind),
+                Hint::Sure(kind) => (&mut elsewhere, kind),
+                Hint::Either(kind) if own => (&mut either, kind),
+                _ => continue,
             };
-            match hint(text) {
-                Hint::Sure(kind) => first(&mut sure[place(kind)]),
-                Hint::Either(kind) => first(&mut either[place(kind)]),
-                Hint::None => {}
-            }
+            let first = &mut seen[usize::from(kind == Decimal::Comma)];
+            *first = if *first == 0 { line } else { *first };
         }
         Ok(rows < ENOUGH_ROWS || (sure == [0, 0] && either != [0, 0]))
     })?;
-    let ask = |line, separator: &str| {
-        let what = format!("every number with a {separator} has three figures behind it: decimals or thousands");
-        let mark = if separator == "comma" { ',' } else { '.' };
-        let other = if separator == "comma" { "point" } else { "comma" };
-        let remedy =
-            format!("use --decimal {separator} (1{mark}234 is 1.234) or --decimal {other} (1{mark}234 is 1234)");
-        Err(ExportError::at(line, what, remedy))
-    };
-    match (sure, either) {
-        ([0, 0], [0, 0]) => Ok(Decimal::Point),
-        ([0, 0], [point, 0]) if table.decimal.is_none() => ask(point, "point"),
-        ([0, 0], [_, 0]) => Ok(Decimal::Point),
-        ([0, 0], [_, comma]) => ask(comma, "comma"),
-        ([point, comma], _) if point > 0 && comma > 0 => {
-            let text = format!("line {point} has a decimal point, line {comma} a decimal comma");
-            let remedy = "choose one with --decimal point or --decimal comma, and correct the other numbers";
-            Err(ExportError::at(point.max(comma), text, remedy))
-        }
-        ([_, comma], _) => Ok(if comma > 0 { Decimal::Comma } else { Decimal::Point }),
+    let [point, comma] = sure;
+    if point > 0 && comma > 0 {
+        let text = format!("line {point} has a decimal point, line {comma} a decimal comma");
+        let remedy = "choose one with --decimal point or --decimal comma, and correct the other numbers";
+        return Err(ExportError::at(point.max(comma), text, remedy));
     }
+    let only = |seen: [u64; 2], kind: usize| seen[kind] > 0 && seen[1 - kind] == 0;
+    if comma > 0 || (point == 0 && only(either, 1) && only(elsewhere, 1)) {
+        return Ok(Decimal::Comma);
+    }
+    let points = table.decimal.is_some() || only(elsewhere, 0);
+    if point > 0 || either == [0, 0] || (either[1] == 0 && points) {
+        return Ok(Decimal::Point);
+    }
+    let (line, mark) = if either[1] > 0 { (either[1], ',') } else { (either[0], '.') };
+    let [word, other] = if either[1] > 0 { ["comma", "point"] } else { ["point", "comma"] };
+    let what = format!("every number with a {word} has three figures behind it: decimals or thousands");
+    let remedy = format!("use --decimal {word} (1{mark}234 is 1.234) or --decimal {other} (1{mark}234 is 1234)");
+    Err(ExportError::at(line, what, remedy))
 }
 
 /// A text that is neither a number nor a word for none.
@@ -222,6 +210,18 @@ fn unreadable(tag: &str, text: &str, decimal: Decimal, line: u64) -> ExportError
         None => format!("if it stands for a missing value, use --missing {shown:?}"),
     };
     ExportError::at(line, what, remedy)
+}
+
+/// A tag that has two values at most of its times is that of several loops, which another column tells apart.
+fn check_once(series: &Series) -> Result<(), ExportError> {
+    let mut values: Vec<(i64, Option<f64>)> = series.samples.iter().map(|s| (s.t_ns, s.value.as_number())).collect();
+    values.sort_by_key(|(t_ns, _)| *t_ns);
+    let twice = values.windows(2).filter(|w| w[0].0 == w[1].0 && w[0].1 != w[1].1).count();
+    if 3 * twice < values.len() || twice < 2 {
+        return Ok(());
+    }
+    let what = format!("the tag {:?} has two values at most of its times, so it is not one signal", series.tag);
+    Err(ExportError::at(0, what, "name the column that tells them apart: --map tag=COLUMN, or export one loop"))
 }
 
 impl Gatherer<'_> {
@@ -265,17 +265,13 @@ impl Gatherer<'_> {
             return *known;
         }
         let at = role_of(tag, self.options.map.as_ref()).map(|role| {
-            let tag = tag.to_owned();
-            self.open.push(Open {
-                tag,
+            self.open.push(Series {
+                tag: tag.to_owned(),
                 role,
                 unit: None,
                 quality: None,
+                samples: Vec::new(),
                 axis,
-                rows: Vec::new(),
-                values: Vec::new(),
-                marks: Vec::new(),
-                numbers: 0,
                 first_text: None,
                 unit_in_cells: None,
             });
@@ -335,7 +331,7 @@ impl Gatherer<'_> {
     }
 
     fn take_long(&mut self, table: &Table<'_>, layout: &Layout) -> Result<(), ExportError> {
-        let Shape::Long { tag, value, quality, ref doubts } = layout.shape else { return Ok(()) };
+        let Shape::Long { tag, of, value, quality, ref doubts } = layout.shape else { return Ok(()) };
         let quality = quality.filter(|_| self.options.codes != Some(Codes::Ignore));
         if let Some(name) = quality.and_then(|at| table.names.get(at)) {
             self.quality.clone_from(name);
@@ -351,7 +347,8 @@ impl Gatherer<'_> {
                     &shown
                 }
             };
-            let Some(series) = self.series(name, 0) else { return Ok(true) };
+            let whole = of.map(|of| format!("{}.{name}", cell(of).shown()));
+            let Some(series) = self.series(whole.as_deref().unwrap_or(name), 0) else { return Ok(true) };
             let Some(stamp) = self.stamp(line, cells, &layout.times[0])? else {
                 return Err(ExportError::at(line, "a row without a time", "add the time of every row"));
             };
@@ -388,18 +385,12 @@ impl Gatherer<'_> {
             Some(Mark::Bad) => Value::Missing,
             _ => self.value(at, line, cell)?,
         };
-        let open = &mut self.open[at];
-        open.rows.push(row);
-        open.values.push((value, cell == Cell::Empty));
-        if let Some(mark) = mark {
-            if let Mark::Code(code) = mark {
-                *self.codes.entry(code).or_default() += 1;
-                if self.first_code == 0 {
-                    self.first_code = line;
-                }
-            }
-            open.marks.push(mark);
+        if let Some(Mark::Code(code)) = mark {
+            *self.codes.entry(code).or_default() += 1;
+            self.first_code = if self.first_code == 0 { line } else { self.first_code };
         }
+        let mark = mark.unwrap_or(Mark::None);
+        self.open[at].samples.push(Taken { row, t_ns: 0, value, empty: cell == Cell::Empty, mark });
         Ok(())
     }
 
@@ -407,21 +398,14 @@ impl Gatherer<'_> {
         let open = &mut self.open[at];
         let text = match cell {
             Cell::Empty => return Ok(Value::Missing),
-            Cell::Number(v) => {
-                open.numbers += 1;
-                return Ok(self.counted(Value::number(v)));
-            }
-            Cell::Integer(v) => {
-                open.numbers += 1;
-                return Ok(self.counted(Value::number(v as f64)));
-            }
+            Cell::Number(v) => return Ok(self.counted(Value::number(v))),
+            Cell::Integer(v) => return Ok(self.counted(Value::number(v as f64))),
             Cell::Local(_) | Cell::Instant(_) => "a time",
             Cell::Text(text) => text,
         };
         let is_missing = |text: &str| is_missing_word(text) || self.options.missing.iter().any(|word| word == text);
         let (figures, unit) = with_unit(text);
         if let Some(v) = number(figures, self.decimal).filter(|_| !is_missing(text)) {
-            open.numbers += 1;
             if let Some(unit) = unit.filter(|unit| open.unit_in_cells.get_or_insert_with(|| (*unit).to_owned()) != unit)
             {
                 let what =
@@ -461,20 +445,20 @@ impl Gatherer<'_> {
     fn check_values(&self) -> Result<(), ExportError> {
         for open in self.open.iter().filter(|open| open.role.signal != Signal::Mode) {
             let needed = matches!(open.role.signal, Signal::Op | Signal::Pv);
-            if let (true, Some((line, text)), 0) = (needed, &open.first_text, open.numbers) {
+            let values = open.samples.iter().filter_map(|taken| taken.value.as_number());
+            if let (true, Some((line, text)), None) = (needed, &open.first_text, values.clone().next()) {
                 let what = format!("{:?} contains {text:?}, and no number in any row", open.tag);
                 return Err(ExportError::at(*line, what, "name another column or tag: --map op=TAG,pv=TAG"));
             }
-            let values = open.values.iter().filter_map(|(value, _)| value.as_number());
             if let Some(found) = sentinel(values).filter(|_| self.options.missing.is_empty()) {
-                let at = open.values.iter().position(|(value, _)| *value == Value::Number(found)).unwrap_or(0);
-                let line = self.axes[open.axis].lines.get(open.rows[at] as usize).copied().unwrap_or(0);
+                let first = open.samples.iter().find(|taken| taken.value == Value::Number(found));
+                let line = first.and_then(|taken| self.axes[open.axis].lines.get(taken.row as usize));
                 let what = format!(
                     "{:?} contains {found:?}, far from its other values, as loggers write where none is",
                     open.tag
                 );
                 let remedy = format!("use --missing={found:?}, or --missing=none if it is a value");
-                return Err(ExportError::at(line, what, remedy));
+                return Err(ExportError::at(line.copied().unwrap_or(0), what, remedy));
             }
         }
         Ok(())
@@ -495,43 +479,30 @@ impl Gatherer<'_> {
             Shape::Long { .. } => "one row per value",
         };
         words.push(shape.to_owned());
-        let series = self.open.into_iter().map(|open| {
+        for open in &mut self.open {
             let stamps = &t_ns[open.axis];
-            let rows = open.rows.iter().zip(open.values).enumerate();
-            let taken = rows.map(|(at, (row, (value, empty)))| {
-                let bad = open.marks.get(at).is_some_and(|mark| *mark == Mark::Bad);
-                Taken { t_ns: stamps[*row as usize], value, empty, bad }
-            });
-            let samples = taken.collect();
-            let unit = open.unit.or(open.unit_in_cells);
-            Series { tag: open.tag, role: open.role, unit, quality: open.quality, samples }
-        });
+            open.samples.iter_mut().for_each(|taken| taken.t_ns = stamps[taken.row as usize]);
+            open.unit = open.unit.take().or(open.unit_in_cells.take());
+            if matches!(layout.shape, Shape::Long { .. }) {
+                check_once(open)?;
+            }
+        }
         let own = super::is_own(&table.names) && !self.options.overrules();
-        Ok(Contents {
-            series: series.collect(),
-            words,
-            counts,
-            warnings: table.warnings.clone(),
-            ignored: self.ignored,
-            own,
-        })
+        let warnings = table.warnings.clone();
+        Ok(Contents { series: self.open, words, counts, warnings, ignored: self.ignored, own })
     }
 
-    /// Makes values of bad quality missing; their marks become words.
+    /// Makes values of bad quality missing.
     fn judge_marks(&mut self) -> Result<(), ExportError> {
         let codes = if self.codes.is_empty() {
             self.options.codes.unwrap_or(Codes::Ua)
         } else {
             convention(&self.codes, &self.quality, self.first_code, self.options.codes)?
         };
-        for open in &mut self.open {
-            for (mark, (value, empty)) in open.marks.iter_mut().zip(&mut open.values) {
-                let bad = mark.is_bad(codes);
-                *mark = if bad { Mark::Bad } else { Mark::Good };
-                if bad {
-                    self.marked_bad += u64::from(!*empty);
-                    (*value, *empty) = (Value::Missing, false);
-                }
+        for taken in self.open.iter_mut().flat_map(|open| &mut open.samples) {
+            if taken.mark.is_bad(codes) {
+                self.marked_bad += u64::from(!taken.empty);
+                *taken = Taken { value: Value::Missing, empty: false, mark: Mark::Bad, ..*taken };
             }
         }
         Ok(())
@@ -558,7 +529,9 @@ impl Gatherer<'_> {
         for (at, axis) in self.axes.iter().enumerate() {
             let groups: Vec<Vec<u32>> = match &layout.shape {
                 Shape::Wide(_) => vec![(0..axis.stamps.len() as u32).collect()],
-                Shape::Long { .. } => self.open.iter().map(|o| o.rows.clone()).collect(),
+                Shape::Long { .. } => {
+                    self.open.iter().map(|o| o.samples.iter().map(|taken| taken.row).collect()).collect()
+                }
             };
             let zone = self.options.zone.as_ref();
             let asked = TimeOptions { form: self.options.time_format.as_ref(), zone, end_s };

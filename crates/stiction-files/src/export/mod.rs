@@ -45,7 +45,7 @@ use thiserror::Error;
 use super::{InputKind, LoadedLoop};
 use cell::Table;
 use gather::Series;
-use stiction::core::units::parse_time;
+use stiction::core::units::{NS_PER_S, parse_time};
 pub(crate) use text::wide;
 
 /// What cannot be read, where, and what settles it.
@@ -114,6 +114,14 @@ pub fn moment(text: &str, options: &ReadOptions) -> Result<i64, String> {
     let asked = clock::TimeOptions { form: options.time_format.as_ref(), zone: options.zone.as_ref(), end_s: end_s() };
     let times = axis.times(&[vec![0]], asked).map_err(|e| e.to_string())?;
     times.t_ns.first().copied().ok_or_else(|| format!("{text:?} is not a time; write one such as 2026-01-05T08:00:00Z"))
+}
+
+/// A written time that has one reading, in UTC unless it says otherwise. Numbers are none: their unit is unknown.
+pub(crate) fn utc(text: &str) -> Option<i64> {
+    let stamp::Stamp::Civil(civil) = stamp::Stamp::read(text)? else { return None };
+    let mut readings = stamp::Order::ALL.into_iter().filter_map(|order| civil.local_ns(order));
+    let (first, offset_s) = (readings.next()?, civil.offset_s.unwrap_or(0));
+    (civil.letters.is_none() && readings.all(|other| other == first)).then(|| first - i64::from(offset_s) * NS_PER_S)
 }
 
 /// The loops of an export.

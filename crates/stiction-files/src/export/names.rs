@@ -117,7 +117,11 @@ pub(super) fn is_value(name: &str) -> bool {
 
 /// The tag that a quality column belongs to: `fic101 pv` for `FIC101.PV Status`, empty for `Quality`; `None` for other headings.
 pub(super) fn quality_of(name: &str) -> Option<String> {
-    words_of_quality(name, QUALITIES).or_else(|| {
+    let own = words_of_quality(name, QUALITIES);
+    if let (Some(""), Some(tag)) = (own.as_deref(), unit(name).filter(|inside| role(inside).is_some())) {
+        return Some(plain(tag));
+    }
+    own.or_else(|| {
         let name = unnumbered(name);
         let first = |word: &&str| name.strip_prefix(*word)?.strip_prefix(' ').map(str::to_owned);
         // Behind a tag, short words and DeltaV's `.ST` do too.
@@ -129,6 +133,11 @@ pub(super) fn quality_of(name: &str) -> Option<String> {
 /// As [`quality_of`], for headings of flags that are set where a value is bad, such as PI's `Questionable`.
 pub(super) fn doubt_of(name: &str) -> Option<String> {
     words_of_quality(name, DOUBTS)
+}
+
+/// Whether words behind a plain heading are those for a value, such as DeltaV's `CV`.
+pub(super) fn is_ending(words: &str) -> bool {
+    words.strip_prefix(' ').is_some_and(|end| is_one_of(&end.to_uppercase().replace(' ', "_"), VALUES))
 }
 
 /// A plain heading without the number that data tools give to headings that occur twice.
@@ -197,10 +206,17 @@ mod tests {
         assert!(is_time("Time Stamp") && is_time("time [s]") && is_time("Date/Time") && !is_time("41FIC101.PV"));
         assert!(is_tag("TagName") && is_value("Value") && quality_of("Quality").is_some());
         assert_eq!(unit("t [s]"), Some("s"));
-        for (name, of) in [("41FIC101.PV Status", "41fic101 pv"), ("pv_quality", "pv"), ("Quality.1", "")] {
+        for (name, of) in [
+            ("41FIC101.PV Status", "41fic101 pv"),
+            ("pv_quality", "pv"),
+            ("Quality.1", ""),
+            ("Quality (41FIC101.PV)", "41fic101 pv"),
+            ("Quality (OPC)", ""),
+        ] {
             assert_eq!(quality_of(name).as_deref(), Some(of), "{name}");
         }
         assert_eq!(quality_of("pv"), None);
+        assert!(is_ending(" cv") && is_ending(" f cv") && !is_ending("cv") && !is_ending(" x"));
         for (name, unit) in
             [("Time [ms]", Some(1_000_000)), ("t (days)", Some(86_400 * NS_PER_S)), ("time_us", Some(1_000))]
         {

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use super::columns::listed;
 use super::gather::{Series, Taken};
 use super::map::{Map, Part};
+use super::quality::Mark;
 use super::{Contents, Export, ExportError, ReadOptions, Recognised};
 use crate::{BAD, LoadedLoop};
 use stiction::core::record::{Sample, Signal};
@@ -179,7 +180,7 @@ fn close(group: Group, own: bool, warnings: &mut Vec<String>) -> Result<LoadedLo
     let unit = |wanted| by_signal.iter().flatten().find(|s| s.role.signal == wanted).and_then(|s| s.unit.clone());
     let units = [Signal::Op, Signal::Pv].map(unit);
     let of_row = |signal, taken: Taken| {
-        let quality = taken.bad.then_some(BAD);
+        let quality = (taken.mark == Mark::Bad).then_some(BAD);
         Sample { signal, t_ns: taken.t_ns, value: taken.value, quality }
     };
     if own {

@@ -33,7 +33,7 @@ pub(super) enum Mark {
     Code(i64),
     /// A word for good.
     Good,
-    /// Any other word.
+    /// A word for bad.
     Bad,
 }
 
@@ -106,15 +106,15 @@ pub(super) fn convention(
     }
     let all = |inside: fn(i64) -> bool| counts.keys().all(|code| inside(*code));
     let any = |inside: fn(i64) -> bool| counts.keys().any(|code| inside(*code));
-    let flag = ["good", "valid"].iter().any(|word| name.to_lowercase().contains(word)) && all(|c| c == 0 || c == 1);
-    if flag {
+    let named = |words: [&str; 2]| words.iter().any(|word| name.to_lowercase().contains(word));
+    if named(["good", "valid"]) && all(|c| c == 0 || c == 1) {
         Ok(Codes::Flag)
+    } else if named(["confidence", "percent"]) && all(|c| (0..=100).contains(&c)) {
+        Ok(Codes::Percent)
     } else if all(|c| (0..=255).contains(&c)) && any(|c| c >= 192) {
         Ok(Codes::Classic)
     } else if all(|c| c <= 0 || c >= 1 << 20) {
         Ok(Codes::Ua)
-    } else if all(|c| (0..=100).contains(&c)) && any(|c| c == 100) {
-        Ok(Codes::Percent)
     } else {
         let seen: Vec<String> = counts.keys().take(6).map(i64::to_string).collect();
         let text = format!("{name:?} contains the codes {}, whose meaning is ambiguous", seen.join(", "));
@@ -136,6 +136,8 @@ mod tests {
         assert_eq!(of(&[0, 0x808c_0000], "quality"), Ok(Codes::Ua));
         assert_eq!(of(&[0, 85, 100], "confidence"), Ok(Codes::Percent));
         assert_eq!(of(&[0, 1], "isgood"), Ok(Codes::Flag));
+        assert_eq!(of(&[0], "confidence"), Ok(Codes::Percent));
+        assert!(of(&[0, 100], "quality").unwrap_err().contains("--quality"));
         assert!(of(&[0, 1], "status").unwrap_err().contains("--quality"));
         let bad = |text: &str, codes| Mark::read(text).map(|mark| mark.is_bad(codes));
         assert_eq!([bad("Bad, Sensor", Codes::Classic), bad("Good", Codes::Classic)], [Some(true), Some(false)]);
