@@ -476,7 +476,7 @@ mod tests {
             (column(&["1", "2", "3"]), None, "not a time"),
             (None, None, "missing"),
             (column(&["05-Jan-2026 08:00:00", "x"]), Some(1_767_600_000_000_000_000), "has 2 rows, the data 3"),
-            (column(&["2026-01-05 08:00", "x", "y"]), None, "not a time"),
+            (column(&["05-Jan 08:00:00", "x", "y"]), None, "not a time"),
             (column(&["2026-01-05 08:00:00", "", "2026-01-05 09:00:00"]), Some(1_767_600_000_000_000_000), "span 6 s"),
         ] {
             let store = of_variables(&changed(STAMPS, stamps)).unwrap();

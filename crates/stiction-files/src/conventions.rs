@@ -99,7 +99,7 @@ pub(crate) const VALUES: &str = "CV|F_CV|VALUE|VAL|PRESENTVALUE|READVALUE";
 pub(crate) const BLOCKS: &str = "DACA|PIDA|PID|PID1|AI1|AO1|FBPID|REGCTLA|DATAACQA";
 
 /// Headings of columns with times, dates alone, tags, and values.
-pub(crate) const TIMES: &str = "t|ts|time|timestamp|time stamp|date|datetime|date time|zeit|zeitstempel|datum|datum zeit|datum uhrzeit|\
+pub(crate) const TIMES: &str = "t|ts|t stamp|time|timestamp|time stamp|date|datetime|date time|zeit|zeitstempel|datum|datum zeit|datum uhrzeit|\
     uhrzeit|horodatage|date heure|heure|fecha|fecha hora|hora|local time|localtime|utc|utc time|time utc|\
     timestamp utc|event time|eventtime|source time|sourcetime|source timestamp|sourcetimestamp|sample time|\
     log time|logtime|recorded time|index|tijd|tidpunkt";
@@ -111,8 +111,12 @@ pub(crate) const HEADS: &str = "value|val|wert|valeur|valor|reading|numeric valu
 
 /// Headings of columns with qualities, and with flags that are set where a value is bad.
 pub(crate) const QUALITIES: &str = "quality|qual|status|confidence|qualität|statuscode|opcquality|isgood|isvalid|valid|qualité|calidad|\
-    good|is good|is valid|quality code|status code|opc quality";
-pub(crate) const DOUBTS: &str = "questionable|substituted|is bad|isbad|is questionable|is substituted";
+    good|is good|is valid|quality code|status code|opc quality|data quality|point status|value status|tag quality|\
+    sample quality|validity";
+pub(crate) const DOUBTS: &str = "bad|questionable|substituted|is bad|isbad|is questionable|is substituted";
+
+/// Headings of columns with the zone of the time beside them.
+pub(crate) const ZONES: &str = "tz|timezone|time zone|utc offset|gmt offset|tz offset";
 
 /// Units of time in ns, in headings and for --time-unit.
 pub(crate) const TIME_UNITS: [(&str, i64); 7] = [

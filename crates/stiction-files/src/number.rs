@@ -24,14 +24,15 @@ pub(super) enum Hint {
     Either(Decimal),
 }
 
-/// A number that loggers write for a missing value, in a column whose other values are far from it.
+/// A number that loggers write for a missing value, in a column whose other values, if it has any, are far from it.
 pub(super) fn sentinel(values: impl Iterator<Item = f64> + Clone) -> Option<f64> {
     let is = |v: f64| v.abs() >= NO_VALUE || SENTINELS.iter().any(|s| (v - s).abs() <= 1e-6 * s.abs());
     let found = values.clone().find(|v| is(*v))?;
     let (low, high) =
         values.filter(|v| !is(*v)).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
     let span = high - low;
-    (low <= high && (found > high + span || found < low - span)).then_some(found)
+    let alone = low > high && (found < 0.0 || found.abs() >= NO_VALUE);
+    (alone || (low <= high && (found > high + span || found < low - span))).then_some(found)
 }
 
 /// Whether a text is one that systems write in place of a value.
@@ -212,7 +213,7 @@ mod tests {
         assert_eq!(found(&[1.0, 50.0, -9999.0, 99.0]), Some(-9999.0));
         assert_eq!(found(&[998.5, 999.0, 1002.0]), None);
         assert_eq!(found(&[1.0, 2.0, 3.0]), None);
-        assert_eq!(found(&[-9999.0]), None);
+        assert_eq!((found(&[-9999.0]), found(&[999.0])), (Some(-9999.0), None));
     }
 
     proptest! {

@@ -5,9 +5,10 @@ use super::cell::{Cell, Table};
 use super::clock::TimeFormat;
 use super::map::{Map, Part, same};
 use super::names::{doubt_of, is_date, is_ending, is_tag, is_time, is_value, plain, quality_of, role, time_unit};
-use super::stamp::Stamp;
+use super::quality::Mark;
+use super::stamp::{Stamp, is_clock};
 use super::zone::{self, Letters, Zone};
-use crate::conventions::unit_of_time;
+use crate::conventions::{ZONES, is_one_of, unit_of_time};
 use stiction::core::units::NS_PER_S;
 
 /// Rows examined to recognise columns.
@@ -20,6 +21,8 @@ pub(super) struct TimeColumn {
     pub at: usize,
     /// The column of the time of day, if separate from the date.
     pub clock_at: Option<usize>,
+    /// The column of the zone, if separate.
+    pub zone_at: Option<usize>,
     /// Name for messages.
     pub name: String,
     /// The unit in its name: numbers then count from any start.
@@ -30,6 +33,13 @@ pub(super) struct TimeColumn {
     pub zone: Option<Zone>,
     /// Letters such as CET in its name.
     pub letters: Option<Letters>,
+}
+
+impl TimeColumn {
+    /// Whether a column is a part of it.
+    fn holds(&self, at: usize) -> bool {
+        self.at == at || self.clock_at == Some(at) || self.zone_at == Some(at)
+    }
 }
 
 /// A value column in a wide table.
@@ -72,6 +82,8 @@ pub(super) struct Layout {
     pub times: Vec<TimeColumn>,
     /// The rest.
     pub shape: Shape,
+    /// Whether a column may tell the rows of several signals apart.
+    pub parted: bool,
 }
 
 /// Contents of the first rows, by column.
@@ -98,14 +110,6 @@ impl Seen {
     }
 }
 
-fn is_clock_only(text: &str) -> bool {
-    let digits = |c: Option<char>| c.is_some_and(|c| c.is_ascii_digit());
-    text.contains(':')
-        && digits(text.chars().next())
-        && Stamp::read(text).is_none()
-        && Stamp::read(&format!("2000-01-01 {text}")).is_some()
-}
-
 fn look(table: &Table<'_>) -> Result<Vec<Seen>, ExportError> {
     let mut seen: Vec<Seen> = Vec::new();
     let mut rows = 0;
@@ -121,7 +125,7 @@ fn look(table: &Table<'_>) -> Result<Vec<Seen>, ExportError> {
                     let dated = Stamp::read(text).is_some_and(Stamp::is_dated);
                     column.dates += usize::from(dated);
                     column.days += usize::from(dated && !text.contains(':'));
-                    column.clocks += usize::from(is_clock_only(text));
+                    column.clocks += usize::from(is_clock(text));
                     if !dated && column.texts.len() < LOOKED_AT {
                         column.texts.insert((*text).to_owned());
                     }
@@ -164,12 +168,20 @@ pub(super) fn listed(names: &[String]) -> String {
 pub(super) fn layout(table: &Table<'_>, map: Option<&Map>, marks: bool) -> Result<Layout, ExportError> {
     let seen = look(table)?;
     let finder = Finder { table, map, seen: &seen, marks };
-    let times = finder.times()?;
+    let mut times = finder.times()?;
+    if let Some((at, zone)) = finder.zone_column()? {
+        for time in &mut times {
+            (time.zone_at, time.zone) = (Some(at), time.zone.take().or_else(|| zone.clone()));
+        }
+    }
+    finder.check_qualities()?;
     if let Some(shape) = finder.long(&times)? {
-        return Ok(Layout { times, shape });
+        return Ok(Layout { times, shape, parted: true });
     }
     let values = finder.wide(&times)?;
-    Ok(Layout { times, shape: Shape::Wide(values) })
+    let words = |at: usize| seen[at].texts.len() > 1 && seen[at].texts.iter().all(|text| Stamp::read(text).is_none());
+    let parted = (0..seen.len()).any(|at| words(at) && role(&finder.name(at)).is_none());
+    Ok(Layout { times, shape: Shape::Wide(values), parted })
 }
 
 struct Finder<'a, 'f> {
@@ -203,7 +215,7 @@ impl Finder<'_, '_> {
     fn time(&self, at: usize, clock_at: Option<usize>) -> TimeColumn {
         let name = self.name(at);
         let is_t = name.trim().eq_ignore_ascii_case("t");
-        let own = is_t && self.is_own();
+        let own = is_t && super::is_own(&self.table.names);
         let unit = time_unit(&name).or(own.then_some(NS_PER_S)).map(TimeFormat::Epoch);
         let clock = clock_at.map(|at| self.name(at));
         let (zone, letters) = [Some(&name), clock.as_ref()]
@@ -212,12 +224,39 @@ impl Finder<'_, '_> {
             .map(|name| zone::of_heading(name))
             .fold((None, None), |(zone, letters), (other, more)| (zone.or(other), letters.or(more)));
         let letters = letters.filter(|_| unit.is_none());
-        TimeColumn { at, clock_at, name, unit, is_t, zone, letters }
+        TimeColumn { at, clock_at, zone_at: None, name, unit, is_t, zone, letters }
     }
 
-    /// Whether the names are those of the program's own tables.
-    fn is_own(&self) -> bool {
-        super::is_own(&self.table.names)
+    /// The column of the zone, with the zone if it names one; what is not understood must be passed over by the user.
+    fn zone_column(&self) -> Result<Option<(usize, Option<Zone>)>, ExportError> {
+        let named = |at: &usize| is_one_of(&plain(&self.table.names[*at]), ZONES);
+        let unmapped = self.map.is_none_or(|map| map.of(Part::Time).is_none());
+        let Some(at) = (0..self.table.names.len()).find(named).filter(|_| unmapped) else { return Ok(None) };
+        let texts: Vec<&String> = self.seen.get(at).map(|seen| seen.texts.iter().collect()).unwrap_or_default();
+        match (texts.iter().find(|text| !zone::is_known(text)), &texts[..]) {
+            (None, _) => Ok(Some((at, None))),
+            (Some(text), [one]) if Zone::parse(one).is_ok() => Ok(Some((at, Zone::parse(text).ok()))),
+            (Some(text), _) => {
+                let text = format!("the column {:?} gives the zone {text:?}, which is not read there", self.name(at));
+                let remedy = "give it with --tz, and choose the time alone: --map t=COLUMN,op=…,pv=…";
+                Err(ExportError::at(self.table.line, text, remedy))
+            }
+        }
+    }
+
+    /// Words such as Good and Bad are qualities, whatever their heading.
+    fn check_qualities(&self) -> Result<(), ExportError> {
+        let starts = ["good", "bad", "uncertain"];
+        let is_word = |text: &String| starts.iter().any(|start| text.to_lowercase().starts_with(start));
+        let is = |at: &usize| !self.seen[*at].texts.is_empty() && self.seen[*at].texts.iter().all(is_word);
+        let told = |name: &str| quality_of(name).is_some() || doubt_of(name).is_some() || role(name).is_some();
+        let told = |at: &usize| told(&self.name(*at)) || self.map.is_some_and(|map| map.takes(&self.name(*at), *at));
+        let found = (0..self.seen.len()).find(|at| self.marks && is(at) && !told(at));
+        found.map_or(Ok(()), |at| {
+            let text = format!("the column {:?} contains words for quality", self.name(at));
+            let remedy = format!("use --map quality={}, or --quality ignore", at + 1);
+            Err(ExportError::at(self.table.line, text, remedy))
+        })
     }
 
     /// The column of the time of day, where a column has dates alone.
@@ -280,7 +319,7 @@ impl Finder<'_, '_> {
 
     fn long(&self, times: &[TimeColumn]) -> Result<Option<Shape>, ExportError> {
         let names = &self.table.names;
-        let is_time = |at: &usize| times.iter().any(|t| t.at == *at || t.clock_at == Some(*at));
+        let is_time = |at: &usize| times.iter().any(|time| time.holds(*at));
         let by = |is: fn(&str) -> bool| (0..names.len()).find(|at| is(&names[*at]) && !is_time(at));
         let tag = self.mapped(Part::Tag)?.or_else(|| by(is_tag));
         let value = self.mapped(Part::Value)?.or_else(|| by(is_value));
@@ -298,7 +337,7 @@ impl Finder<'_, '_> {
     }
 
     fn wide(&self, times: &[TimeColumn]) -> Result<Vec<ValueColumn>, ExportError> {
-        let is_time = |at: usize| times.iter().any(|t| t.at == at || t.clock_at == Some(at));
+        let is_time = |at: usize| times.iter().any(|time| time.holds(at));
         // A column's time stands before it; columns before the first time share that.
         let time_of = |at: usize| times.iter().rposition(|t| t.at < at).unwrap_or(0);
         let mut values: Vec<ValueColumn> = Vec::new();
@@ -310,11 +349,16 @@ impl Finder<'_, '_> {
             }
             None => Vec::new(),
         };
+        let quality = self.mapped(Part::Quality)?;
         let [mut marks, mut doubts, mut units]: [Vec<(usize, String)>; 3] = Default::default();
         for at in (0..self.columns()).filter(|at| !is_time(*at)) {
             let name = self.table.names.get(at).map_or("", String::as_str);
             let tag = match mapped.iter().find(|(column, _)| *column == at) {
                 Some((_, tag)) => (*tag).to_owned(),
+                None if quality == Some(at) => {
+                    marks.push((at, String::new()));
+                    continue;
+                }
                 None if name.is_empty() => continue,
                 None => match (quality_of(name), doubt_of(name), plain(name).strip_suffix(" unit")) {
                     (Some(of), ..) => {
@@ -365,7 +409,7 @@ impl Finder<'_, '_> {
     fn own_times(&self, times: &[TimeColumn], mapped: &[(usize, &str)]) -> Result<(), ExportError> {
         let (first, last) = (mapped.iter().map(|m| m.0).min(), mapped.iter().map(|m| m.0).max());
         let (Some(first), Some(last)) = (first, last) else { return Ok(()) };
-        let is_time = |at: usize| times.iter().any(|t| t.at == at || t.clock_at == Some(at));
+        let is_time = |at: usize| times.iter().any(|time| time.holds(at));
         let other = (first..last).find(|at| self.seen.get(*at).is_some_and(Seen::is_dates) && !is_time(*at));
         other.map_or(Ok(()), |at| {
             let what = format!("column {} also contains times, those of the signal behind it", at + 1);
@@ -393,7 +437,9 @@ impl Finder<'_, '_> {
             let (whole, short) = (values.iter().any(same), values.iter().any(signal));
             if whole || short {
                 values.iter_mut().filter(|v| if whole { same(v) } else { signal(v) }).for_each(|v| give(v, *at));
-            } else if values.iter().any(|v| role(&v.tag).is_some() && own(v).starts_with(of.as_str())) {
+            } else if values.iter().any(|v| role(&v.tag).is_some() && own(v).starts_with(of.as_str()))
+                || self.has_marks(*at)
+            {
                 return Err(self.whose(*at));
             }
         }
@@ -411,6 +457,12 @@ impl Finder<'_, '_> {
             }
         }
         Ok(())
+    }
+
+    fn has_marks(&self, at: usize) -> bool {
+        self.seen
+            .get(at)
+            .is_some_and(|seen| !seen.texts.is_empty() && seen.texts.iter().all(|text| Mark::read(text).is_some()))
     }
 
     fn whose(&self, at: usize) -> ExportError {

@@ -106,7 +106,7 @@ fn is_values(row: &[String]) -> bool {
     row.iter().any(|cell| Stamp::read(cell).is_some())
 }
 
-/// The row of names among those above the first row of values: of those that fit, the first.
+/// The row of names among those above the first row of values: of those that fit, the first with a time, or the first.
 fn head_of(kept: &[Row], first: usize, usual: usize) -> usize {
     // A row may end with a delimiter that the names lack, and the names with empty ones.
     let open_end = usize::from(kept[first].cells.last().is_some_and(String::is_empty));
@@ -114,8 +114,10 @@ fn head_of(kept: &[Row], first: usize, usual: usize) -> usize {
     let above = first - first.min(MOST_UNITS + 1)..first;
     let near = above.rev().take_while(|at| kept[*at].cells.len() + open_end >= usual);
     let found: Vec<usize> = near.filter(|at| full(&kept[*at])).collect();
-    let exact = found.iter().rev().find(|at| kept[**at].width() <= usual && kept[**at].cells.len() <= usual);
-    exact.or(found.last()).copied().unwrap_or(first)
+    let exact = |at: &&usize| kept[**at].width() <= usual && kept[**at].cells.len() <= usual;
+    let timed = |at: &&usize| kept[**at].cells.iter().any(|cell| is_time(cell));
+    let best = found.iter().rev().filter(exact).find(timed).or_else(|| found.iter().rev().find(exact));
+    best.or(found.last()).copied().unwrap_or(first)
 }
 
 /// Finds the table in a text.

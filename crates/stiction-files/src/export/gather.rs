@@ -97,7 +97,6 @@ struct Gatherer<'o> {
     by_tag: HashMap<String, Option<usize>>,
     ignored: Vec<String>,
     words: BTreeMap<String, u64>,
-    missing_words: u64,
     codes: BTreeMap<i64, u64>,
     first_code: u64,
     marked_bad: u64,
@@ -126,7 +125,6 @@ pub(super) fn gather(
         by_tag: HashMap::new(),
         ignored: Vec::new(),
         words: BTreeMap::new(),
-        missing_words: 0,
         codes: BTreeMap::new(),
         first_code: 0,
         marked_bad: 0,
@@ -242,11 +240,16 @@ impl Gatherer<'_> {
             ExportError::at(line, text, remedy)
         };
         let joined;
+        let zone = time.zone_at.filter(|_| time.zone.is_none()).map_or(String::new(), |at| cell(at).shown());
         let text = match (cell(time.at), time.clock_at.map(cell)) {
             (Cell::Empty, _) => return Ok(None),
             (Cell::Text(date), Some(Cell::Text(clock))) => {
                 // Spreadsheets write midnight behind a date.
-                joined = format!("{} {clock}", date.trim_end_matches("00:00:00").trim_end_matches([' ', 'T']));
+                joined = format!("{} {clock} {zone}", date.trim_end_matches("00:00:00").trim_end_matches([' ', 'T']));
+                joined.trim_end()
+            }
+            (Cell::Text(text), None) if !zone.is_empty() => {
+                joined = format!("{text} {zone}");
                 &joined
             }
             (Cell::Text(text), None) => text,
@@ -421,7 +424,6 @@ impl Gatherer<'_> {
             return Err(unreadable(&open.tag, text, self.decimal, line));
         }
         open.first_text.get_or_insert_with(|| (line, text.chars().take(40).collect()));
-        self.missing_words += 1;
         if self.words.len() < 100 || self.words.contains_key(text) {
             *self.words.entry(text.chars().take(40).collect()).or_default() += 1;
         }
@@ -433,7 +435,6 @@ impl Gatherer<'_> {
         let missing = |v: f64| self.options.missing.iter().any(|word| word.parse::<f64>().is_ok_and(|m| m == v));
         match value {
             Value::Number(v) if missing(v) => {
-                self.missing_words += 1;
                 *self.words.entry(v.to_string()).or_default() += 1;
                 Value::Missing
             }
@@ -450,14 +451,16 @@ impl Gatherer<'_> {
                 let what = format!("{:?} contains {text:?}, and no number in any row", open.tag);
                 return Err(ExportError::at(*line, what, "name another column or tag: --map op=TAG,pv=TAG"));
             }
-            if let Some(found) = sentinel(values).filter(|_| self.options.missing.is_empty()) {
+            let missing = &self.options.missing;
+            if let Some(found) = sentinel(values).filter(|_| !missing.iter().any(|word| word == "none")) {
                 let first = open.samples.iter().find(|taken| taken.value == Value::Number(found));
                 let line = first.and_then(|taken| self.axes[open.axis].lines.get(taken.row as usize));
                 let what = format!(
                     "{:?} contains {found:?}, far from its other values, as loggers write where none is",
                     open.tag
                 );
-                let remedy = format!("use --missing={found:?}, or --missing=none if it is a value");
+                let all = missing.iter().cloned().chain([format!("{found:?}")]).collect::<Vec<_>>().join(",");
+                let remedy = format!("use --missing={all}, or --missing=none if it is a value");
                 return Err(ExportError::at(line.copied().unwrap_or(0), what, remedy));
             }
         }
@@ -483,7 +486,7 @@ impl Gatherer<'_> {
             let stamps = &t_ns[open.axis];
             open.samples.iter_mut().for_each(|taken| taken.t_ns = stamps[taken.row as usize]);
             open.unit = open.unit.take().or(open.unit_in_cells.take());
-            if matches!(layout.shape, Shape::Long { .. }) {
+            if layout.parted {
                 check_once(open)?;
             }
         }
@@ -510,7 +513,7 @@ impl Gatherer<'_> {
 
     fn missing_in_words(&self) -> Vec<String> {
         let mut words = Vec::new();
-        if self.missing_words > 0 {
+        if !self.words.is_empty() {
             let mut counted: Vec<(&String, &u64)> = self.words.iter().collect();
             counted.sort_by_key(|(word, count)| (std::cmp::Reverse(**count), (*word).clone()));
             let shown: Vec<String> = counted.iter().take(MOST_WORDS).map(|(w, n)| format!("{n} {w:?}")).collect();

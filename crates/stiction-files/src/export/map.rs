@@ -69,6 +69,11 @@ impl Map {
         self.parts.iter().find(|(p, _)| *p == part).map(|(_, tag)| tag.as_str())
     }
 
+    /// Whether it names a column, by name or by number from 0.
+    pub(super) fn takes(&self, name: &str, at: usize) -> bool {
+        self.parts.iter().any(|(_, wanted)| same(wanted, name) || wanted.parse() == Ok(at + 1))
+    }
+
     /// Whether it names signals, not only time, tag and value columns.
     pub(super) fn names_signals(&self) -> bool {
         self.parts.iter().any(|(p, _)| matches!(p, Part::Signal(_)))

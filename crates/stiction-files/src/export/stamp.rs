@@ -271,6 +271,11 @@ fn clock(text: &str) -> Option<(i64, &str)> {
     (whole && minute < 60 && second < 60 && ns <= 24 * HOUR_NS).then_some((ns, rest))
 }
 
+/// Whether a text is a time of day alone.
+pub(super) fn is_clock(text: &str) -> bool {
+    text.contains(':') && Stamp::read(text).is_none() && Stamp::read(&format!("2000-01-01 {text}")).is_some()
+}
+
 impl Civil {
     /// Parses `Z`, `+01:00`, `UTC`, `CEST`, and `[Europe/Berlin]` after an offset.
     fn take_zone(&mut self, text: &str) -> Option<()> {

@@ -18,8 +18,14 @@ pub(super) fn letters_of(word: &str) -> Letters {
     std::array::from_fn(|at| word.as_bytes().get(at).copied().unwrap_or(0))
 }
 
+/// Whether a text is an offset, or letters that are known.
+pub(super) fn is_known(text: &str) -> bool {
+    offset_of(text).is_some() || LETTERS.iter().any(|(known, _)| known.eq_ignore_ascii_case(text))
+}
+
 /// The zone that a heading names, in brackets or as `UTC` with or without hours behind it; or letters such as CET.
 pub(super) fn of_heading(name: &str) -> (Option<Zone>, Option<Letters>) {
+    let name = &name.replace('\u{2212}', "-");
     let words = || name.split([' ', '(', ')', '[', ']', '_']).filter(|word| !word.is_empty());
     let known = |word: &&str| !["UTC", "GMT"].contains(word) && LETTERS.iter().any(|(known, _)| known == word);
     if let Some(letters) = words().find(known) {
