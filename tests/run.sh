@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The tests: the library and the program, the program seen from outside by Python (tests/interop), the Python package
-# (python), reports and the page in a browser (tests/report, tests/page). What was skipped for want of something is said and
+# (python), reports and the page in a browser (tests/page). What was skipped for want of something is said and
 # counted at the end.
 #
 # Python packages come from PyPI. STICTIOND_INSTALL=1 lets root install what Debian has of the rest (chromium, npm, python3-venv).
@@ -65,7 +65,7 @@ that_wait() {
     local bad=0
     cargo test --no-fail-fast --locked --features full --test=daemon -- --test-threads=4 || bad=1
     bash tests/page/run.sh || bad=1
-    bash tests/report/run.sh || bad=1
+    bash tests/page/reports.sh || bad=1
     nice -n 19 env -u RUSTC_WORKSPACE_WRAPPER cargo check --locked --quiet -p stictiond || bad=1
     return "$bad"
 }

@@ -1,4 +1,4 @@
-//! The library's public behaviour, on simulated and recorded loops.
+//! The engine and the libraries below it: their public behaviour, on simulated and recorded loops.
 //!
 //! One binary, so that shared code is compiled and linked once.
 #![allow(missing_docs)]

@@ -65,7 +65,7 @@ impl Drop for Named {
     fn drop(&mut self) {
         if std::thread::panicking() {
             let seed = self.0;
-            eprintln!("\nseed {seed} failed; again: STICTIOND_SEED={seed} cargo test --test library simulation\n");
+            eprintln!("\nseed {seed} failed; again: STICTIOND_SEED={seed} cargo test --test engine simulation\n");
         }
     }
 }

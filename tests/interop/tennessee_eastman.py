@@ -7,7 +7,7 @@ wave, or a reactor temperature controller that is tuned too tightly.
 
     python3 -m venv target/plants
     target/plants/bin/pip install tep-studio==0.2.0
-    target/plants/bin/python tests/plants/tennessee_eastman.py target/release/stictiond --cases 40 --seed 300
+    target/plants/bin/python tests/interop/tennessee_eastman.py target/release/stictiond --cases 40 --seed 300
 """
 
 import argparse

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Reports in a real browser: target/debug/stictiond writes them, Chromium shows them at desktop and phone width, light and
-# dark. Usage: tests/report/run.sh [FOLDER FOR SCREENSHOTS].
+# dark. Usage: tests/page/reports.sh [FOLDER FOR SCREENSHOTS].
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 what="reports in a browser"
@@ -8,4 +8,4 @@ source tests/tools.sh
 use_browser
 use_python
 [ -x "$target/debug/stictiond" ] || cargo build --locked --quiet --features full
-exec "$python" tests/report/look.py "$target/debug/stictiond" "$browser" "$@"
+exec "$python" tests/page/reports.py "$target/debug/stictiond" "$browser" "$@"

@@ -1,7 +1,7 @@
 //! Every reader of outside data, with damaged and random bytes: nothing may panic, hang or grow without limit.
 //!
 //! Runs on the stable compiler, in this process. Each target gets a fixed number of inputs, so that every run covers the same
-//! on every machine; `STICTIOND_FUZZ_TIMES=1000 cargo test --test library fuzz -- --nocapture` gives it a thousand times as
+//! on every machine; `STICTIOND_FUZZ_TIMES=1000 cargo test --test engine fuzz -- --nocapture` gives it a thousand times as
 //! many. A failure names the seed of its input, and `STICTIOND_FUZZ_SEED=N` runs that one alone.
 
 use std::fs;
