@@ -201,6 +201,25 @@ fn times() -> Vec<Shape> {
             Refuse("not between 1990 and next year"),
         ),
         text(
+            "zone in a column",
+            "x.csv",
+            Form::with(|k| local(k, "Europe/Berlin", "%d.%m.%Y %H:%M:%S,%:z")).table(&[
+                "Time",
+                "UTC offset",
+                "41FIC101.OP",
+                "41FIC101.PV",
+            ]),
+            &[],
+            Read("41FIC101"),
+        ),
+        text(
+            "milliseconds in a column",
+            "x.csv",
+            Form::with(|k| utc(k, "%Y-%m-%dT%H:%M:%SZ,250")).table(&["Time", "ms", "41FIC101.OP", "41FIC101.PV"]),
+            &[],
+            Ask("part of the time", &["--map", "t=1,op=3,pv=4"], "x"),
+        ),
+        text(
             "date and time in two columns",
             "x.csv",
             Form::with(|k| utc(k, "%Y-%m-%d,%H:%M:%S")).table(&["Date", "Time", "41FIC101.OP", "41FIC101.PV"]),
@@ -372,6 +391,33 @@ fn layouts() -> Vec<Shape> {
             Read("41FIC101"),
         ),
         text(
+            "InfluxDB: annotated",
+            "x.csv",
+            {
+                let row = |k: usize| {
+                    let part = |v: f64, field: &str| format!(",,0,{},{},{field},41FIC101\n", iso(k), point(v));
+                    part(op(k), "OP") + &part(pv(k), "PV")
+                };
+                let head = "#datatype,string,long,dateTime:RFC3339,double,string,string\n,result,table,_time,_value,_field,_measurement\n";
+                format!("{head}{}", (0..ROWS).map(row).collect::<String>())
+            },
+            &[],
+            Read("41FIC101"),
+        ),
+        text(
+            "the rows of two loops in one table",
+            "x.csv",
+            {
+                let row = |k: usize| {
+                    let of = |name: &str, v: f64| format!("{},{name},{},{}\n", iso(k), point(v), point(pv(k) + v));
+                    of("A", op(k)) + &of("B", op(k) + 1.0)
+                };
+                format!("Time,Unit,41FIC101.OP,41FIC101.PV\n{}", (0..ROWS).map(row).collect::<String>())
+            },
+            &[],
+            Refuse("two values at most of its times"),
+        ),
+        text(
             "PI DataLink: each tag its own times",
             "x.csv",
             {
@@ -461,6 +507,13 @@ fn others() -> Vec<Shape> {
             marked(&["Quality"]),
             &[],
             Must::Read("41FIC101 with 4 missing"),
+        ),
+        text(
+            "words for quality under a heading of its own",
+            "x.csv",
+            marked(&["Zustand"]),
+            &[],
+            Ask("--map quality=4", &["--map", "quality=4"], "41FIC101 with 4 missing"),
         ),
         text(
             "flags that are set where a value is bad, as of PI",

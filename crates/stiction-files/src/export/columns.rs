@@ -341,42 +341,26 @@ impl Finder<'_, '_> {
         // A column's time stands before it; columns before the first time share that.
         let time_of = |at: usize| times.iter().rposition(|t| t.at < at).unwrap_or(0);
         let mut values: Vec<ValueColumn> = Vec::new();
-        let mapped: Vec<(usize, &str)> = match self.map.filter(|m| m.names_signals()) {
-            Some(map) => {
-                let found = map.signals().map(|(_, tag)| find(tag, self.table, self.columns()).map(|at| (at, tag)));
-                let found: Vec<(Option<usize>, &str)> = found.collect::<Result<_, _>>()?;
-                found.into_iter().filter_map(|(at, tag)| at.map(|at| (at, tag))).collect()
-            }
-            None => Vec::new(),
-        };
+        let mut mapped: Vec<(usize, &str)> = Vec::new();
+        for (_, tag) in self.map.iter().flat_map(|map| map.signals()) {
+            mapped.extend(find(tag, self.table, self.columns())?.map(|at| (at, tag)));
+        }
         let quality = self.mapped(Part::Quality)?;
         let [mut marks, mut doubts, mut units]: [Vec<(usize, String)>; 3] = Default::default();
         for at in (0..self.columns()).filter(|at| !is_time(*at)) {
             let name = self.table.names.get(at).map_or("", String::as_str);
-            let tag = match mapped.iter().find(|(column, _)| *column == at) {
-                Some((_, tag)) => (*tag).to_owned(),
-                None if quality == Some(at) => {
-                    marks.push((at, String::new()));
-                    continue;
+            let own = mapped.iter().find(|(column, _)| *column == at).map(|(_, tag)| *tag);
+            let quality = if quality == Some(at) { Some(String::new()) } else { quality_of(name) };
+            match (own, quality, doubt_of(name), plain(name).strip_suffix(" unit")) {
+                (None, Some(of), ..) => marks.push((at, of)),
+                (None, None, Some(of), _) => doubts.push((at, of)),
+                (None, None, None, Some(of)) => units.push((at, of.to_owned())),
+                _ if own.is_none() && name.is_empty() => {}
+                _ => {
+                    let (time, tag) = (time_of(at), own.unwrap_or(name).to_owned());
+                    values.push(ValueColumn { at, time, quality: None, doubts: Vec::new(), unit: None, tag });
                 }
-                None if name.is_empty() => continue,
-                None => match (quality_of(name), doubt_of(name), plain(name).strip_suffix(" unit")) {
-                    (Some(of), ..) => {
-                        marks.push((at, of));
-                        continue;
-                    }
-                    (None, Some(of), _) => {
-                        doubts.push((at, of));
-                        continue;
-                    }
-                    (None, None, Some(of)) => {
-                        units.push((at, of.to_owned()));
-                        continue;
-                    }
-                    _ => name.to_owned(),
-                },
-            };
-            values.push(ValueColumn { at, time: time_of(at), quality: None, doubts: Vec::new(), unit: None, tag });
+            }
         }
         for value in &mut values {
             value.unit = units.iter().find(|(_, of)| *of == plain(&value.tag)).map(|(at, _)| *at);
