@@ -486,6 +486,14 @@ impl View<'_> {
         (from < self.total).then(|| self.cut(from, level, end_ns)).flatten()
     }
 
+    /// How many samples each PV is held, by the latest that are kept as they came.
+    fn held(&self, from: u64) -> usize {
+        let kept = self.total.saturating_sub(self.history.max_points as u64).max(from);
+        held_over(
+            &(kept..self.total).filter_map(|at| self.history.bin(0, at)).map(|bin| bin.pv_sum).collect::<Vec<_>>(),
+        )
+    }
+
     fn cut(&self, from: u64, level: usize, end_ns: i64) -> Option<Record> {
         let (first_bin, end_bin) = (from >> level, self.total >> level);
         let bins: Vec<Bin> = (first_bin..end_bin).filter_map(|i| self.history.bin(level, i)).collect();
@@ -512,7 +520,7 @@ impl View<'_> {
             end_ns,
             ts_s,
             recorded_ts_s: ts_s,
-            held: if level == 0 { held_over(&pv) } else { 1 },
+            held: self.held(from),
             raw_samples,
             box_samples: 1 << level,
             op_path: if level == 0 {
