@@ -151,6 +151,12 @@ pub fn print(text: &str) -> std::io::Result<()> {
     out.write_all(plain(text).as_bytes()).and_then(|()| out.flush())
 }
 
+/// A count with its noun.
+#[must_use]
+pub fn counted(count: usize, thing: &str) -> String {
+    if count == 1 { format!("1 {thing}") } else { format!("{count} {thing}s") }
+}
+
 /// Prints one line of results.
 ///
 /// # Errors

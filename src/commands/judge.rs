@@ -7,7 +7,7 @@ use anyhow::Context;
 use serde_json::{Value, json};
 
 use crate::cli::reading::config_file;
-use crate::cli::{Format, Outcome, say};
+use crate::cli::{Format, Outcome, counted, say};
 use crate::daemon::received;
 use crate::daemon::replay::parallel::ParallelReplay;
 use crate::daemon::replay::{Output, chains_of};
@@ -246,8 +246,8 @@ impl Told<'_> {
             some => format!("; {what}: {}", some.join(", ")),
         };
         say(format!(
-            "{changed} of {} loops change; alarms active at the end: {} as recorded, {} under {}{}{}",
-            self.loops.len(),
+            "{changed} of {} changed; alarms active at the end: {} as recorded, {} under {}{}{}",
+            counted(self.loops.len(), "loop"),
             before.len(),
             after.len(),
             self.config.display(),

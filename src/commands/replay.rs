@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde_json::json;
 
-use crate::cli::{Format, Outcome, block_on, say};
+use crate::cli::{Format, Outcome, block_on, counted, say};
 use crate::daemon::replay::parallel::{FileReport, ParallelReplay};
 use crate::daemon::replay::{Output, chains_of, files_before};
 use crate::daemon::source::zenoh as bus;
@@ -97,11 +97,6 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         }
     }
     Ok(if totals.cut { Outcome::DataLoss } else { Outcome::Done })
-}
-
-/// A count with its noun.
-fn counted(count: usize, thing: &str) -> String {
-    if count == 1 { format!("1 {thing}") } else { format!("{count} {thing}s") }
 }
 
 /// Replays the files of one run, after as much of the earlier files as their windows need.

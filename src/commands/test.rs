@@ -7,7 +7,7 @@ use anyhow::{Context, anyhow, bail};
 use serde_json::{Value, json};
 
 use crate::cli::reading::{ReadArgs, config_file, scenario_file};
-use crate::cli::{Format, Outcome, UsageError, in_order_on_all_cores, list, say, stop};
+use crate::cli::{Format, Outcome, UsageError, counted, in_order_on_all_cores, list, say, stop};
 use crate::commands::expect;
 use crate::daemon::received;
 use crate::daemon::replay::Replay;
@@ -132,7 +132,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         let written = expect::write(&config, &args.expectations, &args.reading, (out, args.force))?;
         match format {
             Format::Json => say(json!({"schema": "stictiond.test_written.v1", "file": out, "cases": written}))?,
-            Format::Text => say(format!("{}: cases for {written} loops", out.display()))?,
+            Format::Text => say(format!("{}: cases for {}", out.display(), counted(written, "loop")))?,
         }
         return Ok(Outcome::Done);
     }

@@ -130,7 +130,7 @@ fn expectations_that_were_written_hold_and_are_not_replaced_unasked() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("cases.toml");
     let write = ["test", CONFIG, "recordings/sticking.mcap", "--write", file.to_str().unwrap()];
-    assert!(stdout(&expect(0, &write)).contains("cases for 1 loops"));
+    assert!(stdout(&expect(0, &write)).contains("cases for 1 loop"));
     let text = fs::read_to_string(&file).unwrap();
     for part in ["verdict = \"stiction\"", "s = [7.", "alarm = true", "name = \"FIC101 of sticking.mcap\""] {
         assert!(text.contains(part), "{part} is not in\n{text}");

@@ -21,7 +21,7 @@ fn what_another_configuration_changes_is_named_and_the_recorded_one_changes_noth
     let recorded = reader.metadata()["config"].clone();
     let same = judged(&recorded, &[]);
     assert!(
-        same.starts_with("settings that differ: none\n0 of 1 loops change; alarms active at the end: 1 as"),
+        same.starts_with("settings that differ: none\n0 of 1 loop changed; alarms active at the end: 1 as"),
         "{same}"
     );
 
@@ -32,7 +32,7 @@ fn what_another_configuration_changes_is_named_and_the_recorded_one_changes_noth
         "alarm    recorded settings: raised 2026-01-05T08:",
         "these settings:    not raised",
         "below the limit of 20 OP units",
-        "1 of 1 loops change; alarms active at the end: 1 as recorded, 0 under ",
+        "1 of 1 loop changed; alarms active at the end: 1 as recorded, 0 under ",
         "; gone: FIC101",
     ] {
         assert!(text.contains(part), "{part:?} is not in\n{text}");

@@ -122,7 +122,7 @@ pub fn of_member(judged: &MemberJudgement) -> String {
 }
 
 /// Appended for a masked member.
-const MASKED: &str = "; masked: judge this loop again once the source is repaired";
+const MASKED: &str = "; masked: judge this loop again once that oscillation has ended";
 
 /// The cause of a group's oscillation, in a sentence used by every display of the group.
 #[must_use]
