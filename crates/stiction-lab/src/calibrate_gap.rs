@@ -1,60 +1,100 @@
-//! Fits the weights of the gap's decision to decisions of known outcome: the contents of `calibration.json`.
+//! The gap's decision fitted to loops of known cause: what `calibration.json` holds.
 
-use nalgebra::{DMatrix, DVector};
 use sha2::{Digest, Sha256};
 
 use crate::challenge::{Deck, Kind, Split};
 use stiction::core::detect::oscillation;
-use stiction::core::gap::probability::{Features, NAMES, Outcome, Weights, softmax};
-use stiction::core::gap::{GapError, GapOptions, Serial, diagnose, effects};
+use stiction::core::gap::calibration::Calibration;
+use stiction::core::gap::{Evidence, GapError, GapOptions, Serial, answers, diagnose, effects};
 use stiction::core::record::Record;
 
-/// Newton steps of a fit; weights are rounded to multiples of one over the second.
-const STEPS: usize = 40;
-const DIGITS: f64 = 1e4;
+/// Least probability that a right answer counts with: of a loop whose search failed, no decision learns anything.
+const LEAST: f64 = 1e-3;
+/// First step of every number as a share of it; how a step grows and shrinks; the share at which a fit ends, and the most rounds it
+/// takes.
+const FIRST: f64 = 0.5;
+const GROWS: f64 = 1.3;
+const SHRINKS: f64 = 0.6;
+const LAST: f64 = 0.01;
+const ROUNDS: usize = 60;
+/// Least temperature: below, a likelihood would be surer than it says itself.
+const COLDEST: f64 = 1.0;
+/// Digits after the point that a number keeps.
+const DIGITS: f64 = 1e3;
 
-/// Fits weights to decisions of known outcome, each with its own weight: Newton steps with the penalty `ridge` on all squared
-/// weights except the constant's.
+/// A loop of known cause.
+#[derive(Debug, Clone)]
+pub struct Example {
+    /// What its decision is made from.
+    pub evidence: Evidence,
+    /// Answers that are right.
+    pub right: Vec<String>,
+    /// How much it counts.
+    pub weight: f64,
+}
+
+/// The fitted numbers of a calibration.
+const NUMBERS: [fn(&mut Calibration) -> &mut f64; 8] = [
+    |c| &mut c.none,
+    |c| &mut c.unknown,
+    |c| &mut c.memory,
+    |c| &mut c.pair,
+    |c| &mut c.bend,
+    |c| &mut c.temperature,
+    |c| &mut c.misfit,
+    |c| &mut c.beside,
+];
+
+/// The same with the numbers under which the right answers are likeliest (a pattern search); none of those it begins with is 0.
 #[must_use]
-pub fn fit(cases: &[(Features, Outcome, f64)], ridge: f64) -> Weights {
-    const K: usize = NAMES.len();
-    let mut w = DVector::<f64>::zeros(2 * K);
-    for _ in 0..STEPS {
-        let (mut hessian, mut slope) = (DMatrix::<f64>::zeros(2 * K, 2 * K), DVector::<f64>::zeros(2 * K));
-        for (features, outcome, weight) in cases {
-            let x = features.values();
-            let z = |from: usize| (0..K).map(|i| w[from + i] * x[i]).sum::<f64>();
-            let [right, none, _] = softmax([z(0), z(K)]);
-            let p = [right, none];
-            let came = [Outcome::Right, Outcome::None].map(|o| f64::from(u8::from(o == *outcome)));
-            for a in 0..2 {
-                for i in 0..K {
-                    slope[a * K + i] += weight * (came[a] - p[a]) * x[i];
-                    for b in 0..2 {
-                        let bend = if a == b { p[a] * (1.0 - p[a]) } else { -p[a] * p[b] };
-                        for j in 0..K {
-                            hessian[(a * K + i, b * K + j)] += weight * bend * x[i] * x[j];
-                        }
-                    }
-                }
+pub fn fit(examples: &[Example], from: &Calibration) -> Calibration {
+    let mut best = from.clone();
+    let mut most = log_likelihood(examples, &best);
+    let sizes = NUMBERS.map(|number| number(&mut best).abs());
+    let mut steps = sizes.map(|size| FIRST * size);
+    for _ in 0..ROUNDS {
+        for (number, step) in NUMBERS.iter().zip(&mut steps) {
+            let [up, down] = [*step, -*step].map(|by| {
+                let mut tried = best.clone();
+                *number(&mut tried) += by;
+                bound(&mut tried);
+                (log_likelihood(examples, &tried), tried)
+            });
+            let (reached, tried) = if up.0 >= down.0 { up } else { down };
+            let better = reached > most;
+            *step *= if better { GROWS } else { SHRINKS };
+            if better {
+                (most, best) = (reached, tried);
             }
         }
-        for i in 0..2 * K {
-            let held = if i % K == 0 { 1e-3 } else { ridge };
-            hessian[(i, i)] += held;
-            slope[i] -= held * w[i];
-        }
-        let Some(step) = hessian.cholesky().map(|c| c.solve(&slope)) else { break };
-        w += &step;
-        if step.norm() < 1e-8 {
+        if steps.iter().zip(sizes).all(|(step, size)| *step < LAST * size) {
             break;
         }
     }
-    let kept = |x: f64| (x * DIGITS).round() / DIGITS;
-    NAMES.iter().enumerate().map(|(i, name)| ((*name).to_owned(), [kept(w[i]), kept(w[K + i])])).collect()
+    for number in NUMBERS {
+        let fitted = number(&mut best);
+        *fitted = (*fitted * DIGITS).round() / DIGITS;
+    }
+    best
 }
 
-/// Identifies the gap's search: a hash of its result for one loop, with the evidence rounded to three digits.
+/// Shares are shares, and no likelihood is surer than it says itself.
+const fn bound(of: &mut Calibration) {
+    of.memory = of.memory.clamp(0.0, 1.0);
+    of.temperature = of.temperature.max(COLDEST);
+    of.misfit = of.misfit.max(0.0);
+}
+
+fn log_likelihood(examples: &[Example], calibration: &Calibration) -> f64 {
+    let of = |example: &Example| {
+        let all = answers(&[&example.evidence], calibration);
+        let right: f64 = all.iter().filter(|a| example.right.contains(&a.id)).map(|a| a.p).sum();
+        example.weight * libm::log(right.max(LEAST))
+    };
+    examples.iter().map(of).sum()
+}
+
+/// A name for the gap's search: a hash of what it makes of one loop, the evidence to three digits.
 ///
 /// # Errors
 /// The loop cannot be diagnosed.
@@ -64,7 +104,7 @@ pub fn search_id() -> Result<String, GapError> {
     let period_points = oscillation::detect(&record.op(), &record.pv).map(|found| found.period_points);
     let diagnosis = diagnose(&record, &GapOptions { period_points, ..GapOptions::default() }, &Serial)?;
     let evidence = diagnosis.evidence();
-    // Whether pairs of effects are tried depends on the calibration itself, so they are left out.
+    // Whether two effects are looked for at once depends on the calibration itself.
     let single = evidence.contenders.iter().filter(|c| effects::parts(&c.id).nth(1).is_none());
     let mut leads: Vec<String> = single.map(|c| format!("{} {:.3}\n", c.id, c.lead)).collect();
     leads.sort();
@@ -75,36 +115,57 @@ pub fn search_id() -> Result<String, GapError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stiction::core::gap::probability::Calibration;
+    use stiction::core::gap::evidence::{Basis, Contender, Left};
+    use stiction::core::gap::{NONE, Stage, UNKNOWN};
+    use stiction::core::sim::noise::Noise;
 
-    fn features(lead: f64, closed: f64) -> Features {
-        let mut values = [0.0; NAMES.len()];
-        (values[0], values[1], values[4]) = (1.0, lead, closed);
-        Features::from_values(values)
+    /// What a fit leaves: log likelihood a point with white noise, and what noise with a memory adds.
+    fn left(white: f64, memory: f64) -> Left {
+        let one_step = core::array::from_fn(|order| [white + if order > 0 { memory } else { 0.0 }; 2]);
+        Left { over_floor: Some(1.0), fitted: [500, 8], one_step }
+    }
+
+    fn evidence(base: [f64; 2], effect: [f64; 2]) -> Evidence {
+        let contender = Contender {
+            id: "extra_lag".to_owned(),
+            stage: Stage::Process,
+            lead: effect[0] - base[0],
+            closed_pct: Some(50.0),
+            left: left(effect[0], effect[1]),
+        };
+        let basis = Basis {
+            traces: Vec::new(),
+            acts: None,
+            skew: None,
+            coloured_noise: false,
+            by_mv: None,
+            base_at_floor: false,
+            base: left(base[0], base[1]),
+        };
+        Evidence { basis, contenders: vec![contender] }
     }
 
     #[test]
-    fn weights_are_recovered() {
-        let mut noise = stiction::core::sim::noise::Noise::new(5, 0);
-        let truth = |lead: f64, closed: f64| softmax([4.0 * lead - 1.5, 2.0 * closed - 1.0]);
-        let cases: Vec<_> = (0..6000)
-            .map(|_| {
-                let (lead, closed) = (noise.uniform(), noise.uniform());
-                let [right, none, _] = truth(lead, closed);
-                let luck = noise.uniform();
-                let outcome = match luck {
-                    u if u < right => Outcome::Right,
-                    u if u < right + none => Outcome::None,
-                    _ => Outcome::Other,
-                };
-                (features(lead, closed), outcome, 1.0)
-            })
-            .collect();
-        let made = Calibration { weights: fit(&cases, 0.1), ..Calibration::blank() };
-        for (lead, closed) in [(0.1, 0.2), (0.9, 0.5), (0.4, 0.9)] {
-            let (found, [right, none, other]) = (made.outcomes(&features(lead, closed)), truth(lead, closed));
-            assert!((found.right - right).abs() < 0.05 && (found.none - none).abs() < 0.05, "{found:?} {right} {none}");
-            assert!((found.right + found.none + found.other - 1.0).abs() < 1e-12 && other > 0.0);
+    fn the_numbers_are_found_that_tell_three_kinds_of_loops_apart() {
+        let mut noise = Noise::new(5, 0);
+        let mut all = Vec::new();
+        for _ in 0..60 {
+            let mut some = |from: f64, to: f64| from + (to - from) * noise.uniform();
+            let gain = some(0.2, 1.0);
+            let loops = [
+                (NONE, evidence([1.0, 0.0], [1.0 + some(0.0, 0.02), 0.0])),
+                ("extra_lag", evidence([1.0, some(0.0, 0.2)], [1.0 + gain, some(0.0, 0.01)])),
+                (UNKNOWN, evidence([1.0, some(0.2, 0.4)], [1.02, some(0.2, 0.4)])),
+            ];
+            all.extend(loops.map(|(id, evidence)| Example { evidence, right: vec![id.to_owned()], weight: 1.0 }));
         }
+        let biased = Calibration { unknown: 8.0, none: -2.0, ..Calibration::blank() };
+        let made = fit(&all, &biased);
+        let hits = |calibration: &Calibration| {
+            let said = |e: &Example| e.right.contains(&answers(&[&e.evidence], calibration)[0].id);
+            all.iter().filter(|e| said(e)).count()
+        };
+        assert!(hits(&made) >= 165 && hits(&made) > hits(&biased) + 20, "{} {}", hits(&biased), hits(&made));
+        assert!(made.temperature >= COLDEST && log_likelihood(&all, &made) > log_likelihood(&all, &biased));
     }
 }

@@ -67,7 +67,7 @@ fn a_diagnosis_is_decided_with_earlier_ones_where_a_person_wants_it_and_replays_
     assert!(ask(&mut stage, true).unwrap_err().contains("ask without pool"));
     // A number that no recording can restore, so that window is not remembered.
     ask_and_change(&mut stage, false, |made| {
-        made.own.as_mut().unwrap().evidence.basis.noise.over_base = f64::INFINITY;
+        made.own.as_mut().unwrap().evidence.basis.skew = Some(f64::INFINITY);
     })
     .unwrap();
     next_day(&mut stage);

@@ -81,7 +81,8 @@ fn a_challenge_is_made_run_without_its_truth_and_scored_with_it() {
     let words = text(&calibrated.stdout);
     assert!(words.contains("seed 5 (2 cases)") && words.contains("left out of the fit"), "{words}");
     let made: serde_json::Value = serde_json::from_slice(&fs::read(&rule).unwrap()).unwrap();
-    assert!(made["weights"]["lead"].is_array() && made["name_from"].as_f64().is_some_and(|p| p > 0.0 && p < 1.0));
+    assert!(made["temperature"].as_f64().is_some_and(|t| t >= 1.0));
+    assert!(made["trace"].as_f64().is_some_and(|p| p > 0.0 && p < 1.0));
     assert!(made["from"].as_str().unwrap().contains("split A, seed 5") && !words.contains(at), "{made}");
     assert!(text(&calibrate(at).stderr).contains("--force"));
     let changed = text(&truth).replacen("\"none\"", "\"ramp\"", 1);

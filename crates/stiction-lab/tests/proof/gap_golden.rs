@@ -6,8 +6,8 @@ use std::fs;
 use std::path::Path;
 
 use stiction::core::detect::oscillation;
+use stiction::core::gap::calibration::Calibration;
 use stiction::core::gap::document::GapDocument;
-use stiction::core::gap::probability::Calibration;
 use stiction::core::gap::{GapOptions, Serial, diagnose};
 use stiction::core::record::Record;
 use stiction::core::sim::actuator::Actuator;

@@ -5,10 +5,10 @@
 //! place is one effect: it has the free run's size, and is confirmed only where both agree.
 
 use super::budget::document::{BudgetNote, DISTURBANCE, NOT_SPLIT, PartNote, UPSETS, VALVE_AND_PROCESS};
-use super::decide::LITTLE;
 use super::document::EffectNote;
 use super::effects::{sinusoid, static_nonlinearity, step_load, stiction};
 use super::set_point::{self, Move};
+use super::weigh::LITTLE;
 
 /// Difference of periods, as a share, up to which a wave is the valve's own cycle, and two waves are one.
 const SAME_PERIOD: f64 = 0.15;

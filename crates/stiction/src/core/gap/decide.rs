@@ -1,327 +1,248 @@
 //! The decision: what is named, what else is possible, and what is left unnamed.
 //!
-//! Effects are ranked by their gain on the training blocks after BIC (Schwarz 1978); choosing by held-out free run
-//! would let one mistimed slip decide. Whether the best one is right, nothing is missing or something else is, a
-//! calibrated probability says ([`Calibration`]). Held-out blocks only confirm what was chosen, and may refuse another loop.
+//! Every answer is a model of the record with a noise: the base or an effect, with noise that is white or an autoregression. Each
+//! is as likely as PV is one step ahead at the fitted points, after what its numbers cost (Schwarz 1978): one mistimed slip is one
+//! wrong step there, where a free run would carry it on. Noise of an effect that has to be coloured speaks for a cause that no
+//! catalogue has. Held-out blocks have no say; they confirm what was chosen.
 
+use super::calibration::Calibration;
 use super::effects::{self, Way};
-use super::evidence::{Basis, Contender, Evidence, Left, OnMv};
-use super::probability::{Calibration, Features, Outcomes};
-use super::types::{Alternative, Cause, EffectResult, NONE, NoiseModels, Stage, UNKNOWN};
+use super::evidence::{Contender, Evidence};
+use super::types::{Alternative, Cause, EffectResult, NONE, Stage, UNKNOWN};
+use crate::core::signal::stats;
 
-/// Farther behind the best in training evidence, an effect is no alternative; and how fast it loses weight.
-const FAR: f64 = 0.6;
-const STEEP: f64 = 8.0;
-/// Most effects among the alternatives.
-const NEAR: usize = 4;
-/// Coloured noise is named where it depends on nothing with this p, where first order is nearly enough, and where it
-/// explains so much more than any effect, log mean squared error.
-const INDEPENDENT: f64 = 0.1;
-const FIRST_ORDER: f64 = 0.1;
-/// Share by which a higher order may beat the first in what the base itself leaves, measurement noise and all, log mean squared
-/// error: of split A's seeds 53 and 59 it is up to 0.023 for coloured noise (two wrong bases aside), 0.042 for one packing that
-/// lets go at random, from 0.049 on for all else.
-const FIRST_ORDER_OF_BASE: f64 = 0.045;
-const MORE: f64 = 0.05;
-/// From here on the innovations need not look independent of OP, which slips that are a little wrong leave in them: of split
-/// A's seed 59 a third of the loops with coloured noise fail that test, and no other loop is let in for want of it.
-const MUCH_MORE: f64 = 0.2;
-/// Error of the base over the floor below which a memory of its noise is not told from a cycle elsewhere or a load that is faint.
-const FAINT: f64 = 1.5;
-/// Excess kurtosis of noise's innovations: a slip that a model lacks is a few large ones.
-const TAILS: f64 = 0.7;
-/// Per cent of the gap from which an effect makes much of it, and below which next to nothing.
-const HALF: f64 = 50.0;
-pub(super) const LITTLE: f64 = 10.0;
-/// Per cent of the gap that a neighbour closes at least where it is named.
-const MEASURED: f64 = 30.0;
-/// Per cent of the gap that two effects have to close.
-const NEARLY_ALL: f64 = 80.0;
-/// Evidence from which an effect is named beside what the recorder did: no loop whose recorder alone departed had one
-/// (split A, seeds 49 and 51).
-const BESIDE_TRACE: f64 = 0.3;
+/// Probability from which an effect is named: of split A's seed 201 a half names no more of them rightly, and three more wrongly.
+const NAMED: f64 = 0.6;
+/// Least probability of an alternative that is told.
+const TOLD: f64 = 0.005;
+/// Windows of several in which a recorder's trace must stand: one may have it by chance.
+const WITH_TRACE: usize = 2;
 /// Error over the floor up to which a record is explained.
 pub(super) const EXPLAINED: f64 = 1.2;
-/// Share of the best effect's gain that a filter has to have.
-const BESIDE_BEST: f64 = 0.6;
-/// Share of the log error above the floor that an effect behind the recorded valve position has to take.
-const MOST: f64 = 0.6;
-
-/// How an answer was come by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum By {
-    /// A trace in PV, or the controller's lag.
-    Trace,
-    /// The ranking behind the recorded valve position.
-    Mv,
-    /// The calibrated choice.
-    Choice,
-}
+/// Per cent of the held-out gap above which an effect's share is more than chance.
+const CLOSES: f64 = 5.0;
 
 /// The answer without its confirmation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision {
     /// What is named.
     pub cause: Cause,
-    /// Named beside it: what acts on the plant under what the recorder did, or what the recorder did beside what acts.
+    /// What acts on the plant under what the recorder did, or what the recorder did beside what acts.
     pub second: Option<Alternative>,
     /// What else, best first.
     pub alternatives: Vec<Alternative>,
-    /// How it was come by.
-    pub by: By,
-    /// The best of the ranked effects, whatever was named.
-    pub best: Option<String>,
-    /// What the probabilities are made of.
-    pub features: Features,
-    /// Probabilities of the outcomes.
-    pub outcomes: Outcomes,
 }
 
-/// Decides.
+/// An answer that a likelihood can give.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Answer {
+    /// An effect's id, two joined by `+`, [`NONE`] or [`UNKNOWN`].
+    pub id: String,
+    /// Probability; the sum over all answers is 1.
+    pub p: f64,
+}
+
+/// Decides from one record, or from several windows of one valve.
 #[must_use]
-pub fn decide(evidence: &Evidence, calibration: &Calibration) -> Decision {
-    let basis = &evidence.basis;
-    let ranked = ranked(evidence);
-    let features = Features::of(basis, &ranked);
-    let outcomes = calibration.outcomes(&features);
-    let (id, probability, by) = choose(evidence, &ranked, &outcomes, calibration);
-    let stage = match id {
-        NONE => Stage::None,
-        _ => {
-            let weighed = evidence.contenders.iter().find(|c| c.id == id).map(|c| c.stage);
-            weighed.or_else(|| effects::by_id(id).map(|e| e.stage)).unwrap_or(Stage::CannotTell)
-        }
-    };
-    let confirmed = by != By::Choice || id == NONE;
-    let cause = Cause { id: id.to_owned(), probability, confirmed, stage };
-    let second = second(basis, &ranked, &cause, calibration);
-    let mut alternatives = alternatives(&ranked, &cause, &outcomes, calibration);
-    alternatives.retain(|a| second.as_ref().is_none_or(|s| s.id != a.id));
-    let best = ranked.first().map(|b| b.id.clone());
-    Decision { cause, second, alternatives, by, best, features, outcomes }
+pub fn decide(windows: &[&Evidence], calibration: &Calibration) -> Decision {
+    let answers = answers(windows, calibration);
+    let chosen = choose(&answers);
+    let trace = trace(windows);
+    let skewed = is_most(windows, |w| w.basis.skew.is_some()).then_some(effects::time_skew::EFFECT.id);
+    let recorded = trace.filter(|t| is_whole_story(windows, t)).or(skewed).map(|id| (id, calibration.trace));
+    let acts = acts(windows).map(|load| (load, calibration.acts));
+    let (id, probability) = recorded.or(acts).unwrap_or(chosen);
+    let named = chosen.0 != NONE && chosen.0 != UNKNOWN;
+    let beside = if recorded.is_some() { Some(chosen) } else { trace.map(|id| (id, calibration.trace)) };
+    let second = beside.filter(|_| named).map(|(id, probability)| Alternative { id: id.to_owned(), probability });
+    let cause = Cause { id: id.to_owned(), probability, confirmed: false, stage: stage_of(windows, id) };
+    let said = |of: &str| of == cause.id || second.as_ref().is_some_and(|s| s.id == of);
+    let others: Vec<&Answer> = answers.iter().filter(|a| !said(&a.id)).collect();
+    let sum: f64 = others.iter().map(|a| a.p).sum();
+    let share = if sum > 0.0 { (1.0 - cause.probability) / sum } else { 0.0 };
+    let other = |a: &&Answer| Alternative { id: a.id.clone(), probability: a.p * share };
+    let alternatives = others.iter().map(other).filter(|a| a.probability > TOLD).collect();
+    Decision { cause, second, alternatives }
 }
 
-/// What the first rule that applies names, with its probability and the kind of that rule.
-fn choose<'e>(
-    evidence: &'e Evidence,
-    ranked: &[&'e Contender],
-    outcomes: &Outcomes,
-    calibration: &Calibration,
-) -> (&'e str, f64, By) {
-    let basis = &evidence.basis;
-    let coloured = basis.coloured_noise && is_plain(basis);
-    let unnamed = if coloured { effects::coloured_noise::EFFECT.id } else { UNKNOWN };
-    // A trace that makes next to nothing of the gap gives way to an effect that makes half of it.
-    let rival = ranked.first().filter(|b| b.lead > 0.0 && outcomes.right >= calibration.name_from);
-    let gives_way = |t: &String| {
-        let makes_it = rival.is_some_and(|b| b.closes(&basis.base).is_some_and(|c| c >= HALF));
-        makes_it && basis.traces_close.get(t).is_some_and(|c| *c < LITTLE)
-    };
-    // Single wild samples are the whole story only where the rest is explained.
-    let explained = |t: &str| t != effects::outliers::EFFECT.id || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
-    if let Some(trace) = basis.traces.iter().find(|t| explained(t) && !gives_way(t)) {
-        return (trace, calibration.trace, By::Trace);
-    }
-    // A controller that reads a filtered PV seems to lag, too.
-    let filter = effects::sensor_filter::EFFECT.id;
-    if basis.filter && filter_explains(evidence, filter, ranked.first()) {
-        return (filter, calibration.trace, By::Trace);
-    }
-    if basis.skew.is_some() {
-        return (effects::time_skew::EFFECT.id, calibration.trace, By::Trace);
-    }
-    // A load that the noise model has in both halves is named whatever the free run makes of it: a disturbance that wanders
-    // hides it there.
-    let acts = basis.acts.as_ref().filter(|_| basis.by_mv != Some(Stage::Valve) && !basis.base_at_floor);
-    if let Some(load) = acts {
-        return (load, calibration.neighbour, By::Choice);
-    }
-    // A measured load that leads is named: the calibrated choice was fitted to loops without neighbours.
-    let measured = ranked.first().filter(|best| is_measured_load(basis, best));
-    if let Some(load) = measured {
-        return (&load.id, calibration.neighbour, By::Choice);
-    }
-    if let Some(first) = basis.on_mv.first() {
-        // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
-        // What closes next to nothing of the gap is not named for its rank.
-        let own = evidence.contenders.iter().find(|c| c.id == first.id);
-        let refuted = own.is_some_and(|c| c.closes(&basis.base).is_some_and(|closed| closed < LITTLE));
-        let ranks = basis.by_mv == Some(Stage::Process) && first.evidence > effects::MARGIN;
-        if ranks && !basis.base_at_floor && !refuted {
-            let id = if explains(first) { &first.id } else { unnamed };
-            return (id, calibration.by_mv, By::Mv);
-        }
-    }
-    match ranked.first() {
-        Some(best) if best.lead > 0.0 && outcomes.right >= calibration.name_from => {
-            (&best.id, outcomes.right, By::Choice)
-        }
-        _ if outcomes.none >= outcomes.other => (NONE, outcomes.none, By::Choice),
-        _ => {
-            let share = if coloured { calibration.coloured_noise } else { calibration.unknown };
-            (unnamed, outcomes.other * share, By::Choice)
-        }
-    }
+/// The likeliest answer; an effect only from the probability at which effects are named.
+fn choose(answers: &[Answer]) -> (&str, f64) {
+    let is_effect = |a: &&Answer| a.id != NONE && a.id != UNKNOWN;
+    let named = answers.first().filter(|a| !is_effect(a) || a.p >= NAMED);
+    let said = named.or_else(|| answers.iter().find(|a| !is_effect(a)));
+    said.map_or((UNKNOWN, 0.0), |a| (&a.id, a.p))
 }
 
-/// The effects that may be named, best first; a pair of them among these where it says what none says alone.
-fn ranked(evidence: &Evidence) -> Vec<&Contender> {
-    let may = evidence.contenders.iter().filter(|e| allowed(&evidence.basis, e));
-    let (pairs, mut ranked): (Vec<&Contender>, Vec<&Contender>) = may.partition(|e| is_pair(&e.id));
-    let by_lead = |a: &&Contender, b: &&Contender| a.lead.total_cmp(&b.lead);
-    let pair = pairs.into_iter().filter(|pair| says_more(pair, &ranked, &evidence.basis.base)).max_by(by_lead);
-    ranked.extend(pair);
-    ranked.sort_by(|a, b| by_lead(b, a));
-    ranked
+/// What a recorder did to PV: of the traces in enough windows the one in most, the strongest first.
+fn trace<'e>(windows: &[&'e Evidence]) -> Option<&'e str> {
+    let enough = WITH_TRACE.min(windows.len());
+    let count = |trace: &str| windows.iter().filter(|w| w.basis.traces.iter().any(|t| t == trace)).count();
+    let all = || windows.iter().flat_map(|w| w.basis.traces.iter().map(String::as_str));
+    let most = all().map(count).filter(|n| *n >= enough).max()?;
+    all().find(|trace| count(trace) == most)
 }
 
-/// Whether two effects explain what none does alone, by the margin: together they explain a little more of anything.
-fn says_more(pair: &Contender, alone: &[&Contender], base: &Left) -> bool {
-    let explains = |e: &Contender| e.left.over_floor.is_some_and(|over| over < EXPLAINED);
-    let closed = |e: &Contender| e.closes(base).unwrap_or(0.0);
-    let best = alone.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence));
-    let beats =
-        |best: &&&Contender| pair.evidence > best.evidence.max(0.0) + effects::MARGIN && closed(pair) > closed(best);
-    explains(pair) && closed(pair) >= NEARLY_ALL && !alone.iter().any(|e| explains(e)) && best.is_none_or(|b| beats(&b))
+/// Whether a trace is all there is: single wild samples only where the rest is explained.
+fn is_whole_story(windows: &[&Evidence], trace: &str) -> bool {
+    let explained = |w: &Evidence| w.basis.base.over_floor.is_none_or(|over| over < EXPLAINED);
+    trace != effects::outliers::EFFECT.id || is_most(windows, explained)
 }
 
-/// Beside what a recorder did, the effect that its stored values show; beside such an effect, what the recorder did.
-fn second(basis: &Basis, ranked: &[&Contender], cause: &Cause, calibration: &Calibration) -> Option<Alternative> {
-    let is_trace = |id: &str| basis.traces.iter().any(|t| t == id);
-    let (id, probability) = if is_trace(&cause.id) {
-        let single = ranked.iter().find(|e| !is_pair(&e.id))?;
-        let shows = single.evidence > BESIDE_TRACE && single.lead > 0.0 && single.at_floor;
-        shows.then_some((&single.id, calibration.second))?
-    } else {
-        let named = ranked.iter().any(|e| e.id == cause.id);
-        (basis.traces.first().filter(|_| named)?, calibration.trace)
-    };
-    Some(Alternative { id: id.clone(), probability })
+/// The load of another loop that the noise model has in both halves: a disturbance that wanders hides it from the free run.
+fn acts<'e>(windows: &[&'e Evidence]) -> Option<&'e str> {
+    let unexplained = |w: &Evidence| !w.basis.base_at_floor && w.basis.by_mv != Some(Stage::Valve);
+    let acting = |w: &Evidence, load: &str| unexplained(w) && w.basis.acts.as_deref() == Some(load);
+    let mut all = windows.iter().filter_map(|w| w.basis.acts.as_deref());
+    all.find(|load| is_most(windows, |w| acting(w, load)))
 }
 
-/// Whether an effect takes most of what stands above the floor behind the recorded valve position.
-fn explains(effect: &OnMv) -> bool {
-    let left = effect.over_floor.map_or(0.0, |o| 2.0 * libm::log(o.max(1.0)));
-    left < 2.0 * libm::log(EXPLAINED) || effect.evidence >= MOST * (effect.evidence + left)
-}
-
-/// Whether a filter in the measurement gains about as much as any other effect: behind a wrong model, too, noise has a
-/// memory.
-fn filter_explains(evidence: &Evidence, filter: &str, best: Option<&&Contender>) -> bool {
-    let most = best.map_or(0.0, |b| b.lead.max(0.0));
-    let own = evidence.contenders.iter().find(|c| c.id == filter);
-    own.is_none_or(|c| c.lead >= BESIDE_BEST * most)
-}
-
-/// Whether what is left is noise with a memory and nothing else.
-fn is_plain(basis: &Basis) -> bool {
-    let is_alone = |noise: &NoiseModels| {
-        let independent = noise.independence_p > INDEPENDENT || noise.over_best > MUCH_MORE;
-        let apart = independent && noise.over_best > MORE;
-        noise.whitens && apart && noise.beyond_first < FIRST_ORDER
-    };
-    let is_faint = basis.base.over_floor.is_some_and(|over| over < FAINT);
-    let is_first_order = basis.noise.beyond_first < FIRST_ORDER_OF_BASE;
-    !is_faint
-        && is_first_order
-        && basis.alone.map_or_else(|| is_alone(&basis.noise), |a| is_alone(&a.models) && a.tails < TAILS)
-}
-
-/// MV at the floor of PV leaves the valve's effects; no better than OP, it leaves what acts behind the stem. A neighbour
-/// is refused, too, where it does not close a good part of the gap on held-out blocks: an unrelated loop of nearly the same
-/// period fits what was fitted.
-fn allowed(basis: &Basis, effect: &Contender) -> bool {
-    if is_neighbour(&effect.id) && !closes_well(effect) {
-        return false;
-    }
-    match basis.by_mv {
-        Some(Stage::Valve) => effect.stage == Stage::Valve,
-        Some(Stage::Process) => {
-            let behind = effects::parts(&effect.id).all(|id| effects::by_id(id).is_none_or(|e| e.behind_stem));
-            behind || explains_more(basis, effect)
-        }
-        _ => true,
-    }
-}
-
-/// Whether an effect leaves less of PV than anything that is put behind the recorded position: sampled once a scan, the
-/// position is not the last word where there is little noise.
-fn explains_more(basis: &Basis, effect: &Contender) -> bool {
-    let of_mv = basis.on_mv.iter().filter_map(|e| e.over_floor).fold(f64::INFINITY, f64::min);
-    effect.lead > 0.0 && effect.left.over_floor.is_some_and(|left| left < of_mv)
-}
-
-/// All other answers with their shares, best first: the best effect, `none`, and what shares "something else", `unknown`
-/// and the effects within [`FAR`] of the best.
-fn alternatives(
-    ranked: &[&Contender],
-    cause: &Cause,
-    outcomes: &Outcomes,
-    calibration: &Calibration,
-) -> Vec<Alternative> {
-    let best = ranked.first().filter(|b| b.lead > -effects::MARGIN);
-    let lead = best.map_or(0.0, |b| b.lead);
-    let near: Vec<(&str, f64)> = ranked
+/// All answers with their probabilities, best first.
+#[must_use]
+pub fn answers(windows: &[&Evidence], calibration: &Calibration) -> Vec<Answer> {
+    let base = summed(windows, |_| None);
+    let over_base = |scores: [f64; 5]| scores.map(|score| score - base[0]);
+    let of_base = over_base(base);
+    let tried: Vec<(&str, [f64; 5])> =
+        ids(windows).into_iter().map(|id| (id, over_base(summed(windows, |w| contender(w, id))))).collect();
+    let effects: Vec<(&str, f64)> = tried
         .iter()
-        .skip(usize::from(best.is_some()))
-        .filter(|e| e.lead > lead - FAR && e.evidence > 0.0)
-        .take(NEAR)
-        .map(|e| (e.id.as_str(), libm::exp(STEEP * (e.lead - lead).min(0.0))))
+        .filter(|(id, _)| is_allowed(windows, id))
+        .map(|(id, scores)| (*id, of_effect(id, scores, calibration)))
         .collect();
-    let total: f64 = near.iter().map(|(_, w)| w).sum();
-    let unknown = if total > 0.0 { calibration.unknown } else { 1.0 };
-    let mut all = vec![(NONE, outcomes.none), (UNKNOWN, outcomes.other * unknown)];
-    all.extend(best.map(|b| (b.id.as_str(), outcomes.right)));
-    all.extend(near.iter().map(|(id, w)| (*id, outcomes.other * (1.0 - unknown) * w / total)));
-    all.retain(|(id, _)| *id != cause.id);
-    let sum: f64 = all.iter().map(|(_, p)| p).sum();
-    let share = if sum > 0.0 { (1.0 - cause.probability).max(0.0) / sum } else { 0.0 };
-    let mut out: Vec<Alternative> =
-        all.into_iter().map(|(id, p)| Alternative { id: id.to_owned(), probability: p * share }).collect();
-    out.retain(|a| a.probability > 0.005);
-    out.sort_by(|a, b| b.probability.total_cmp(&a.probability));
-    out
+    let higher = best(of_base[2..].iter().copied());
+    // The more there is to explain, the more a model that is right but for its numbers leaves of it.
+    let most = best(effects.iter().map(|(_, gained)| *gained).chain([0.0, higher]));
+    let nats = calibration.temperature + calibration.misfit * most;
+    // White noise is none of the base's own where it is larger than PV's floor: then it is unknown, too.
+    let own_noise = higher.max(of_base[1]).max(0.0) / nats + calibration.unknown;
+    // One model stands behind noise of every order.
+    let is_asked = is_most(windows, |w| w.basis.coloured_noise);
+    let first = if is_asked { logistic((of_base[1] - higher.max(0.0)) / calibration.temperature) } else { 0.0 };
+    let beside = best(tried.iter().flat_map(|(_, scores)| scores[2..].iter().copied())) / nats + calibration.beside;
+    let mut odds = vec![
+        (NONE, above_floor(windows) / nats + calibration.none),
+        (UNKNOWN, (own_noise + libm::log(1.0 - first)).max(beside)),
+        (effects::coloured_noise::EFFECT.id, own_noise + libm::log(first)),
+    ];
+    odds.extend(effects.iter().map(|(id, gained)| (*id, gained / nats - cost(id, calibration))));
+    softmax(&odds)
 }
 
-/// Whether held-out blocks, and where it can say so the run forward in time, bear a call out.
-#[must_use]
-pub(crate) fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
-    let closes = closes(effect.closed_pct) || effect.gap_after < 0.9 * effect.gap_before;
-    let local = effects::parts(&effect.id).any(|id| effects::by_id(id).is_some_and(|e| e.local));
-    closes && (local || forward.is_none_or(|[before, after]| after < before))
+fn logistic(z: f64) -> f64 {
+    1.0 / (1.0 + libm::exp(-z))
 }
 
-/// Whether held-out blocks alone bear an answer out, for one that was decided again.
-#[must_use]
-pub fn holds_out(evidence: &Evidence, cause: &Cause) -> bool {
-    let named = evidence.contenders.iter().find(|c| c.id == cause.id);
-    named.map_or(cause.confirmed, |c| closes(c.closed_pct))
+/// Nats that an effect gains over the base: with white noise, and a share of what noise with a memory gains on top.
+fn of_effect(id: &str, scores: &[f64; 5], calibration: &Calibration) -> f64 {
+    // A filter's noise has the filter's own memory.
+    if effects::by_id(id).is_some_and(|e| e.way == Way::Filter) {
+        return scores[1];
+    }
+    let memory = best(scores[1..].iter().copied()) - scores[0];
+    scores[0] + calibration.memory * memory.max(0.0)
 }
 
-fn closes(pct: Option<f64>) -> bool {
-    pct.is_some_and(|c| c > 5.0)
+/// Log odds that an effect has against it.
+fn cost(id: &str, calibration: &Calibration) -> f64 {
+    let costs = [(calibration.pair, is_pair(id)), (calibration.bend, bends(id))];
+    costs.iter().filter(|(_, is)| *is).map(|(cost, _)| cost).sum()
 }
 
-/// Whether an id is that of a neighbour alone.
-fn is_neighbour(id: &str) -> bool {
-    !is_pair(id) && effects::kind(id) == effects::neighbour::EFFECT.id
+/// Nats by which the base's white noise is less likely to be of PV's floor than of its own size.
+fn above_floor(windows: &[&Evidence]) -> f64 {
+    let of = |w: &&Evidence| {
+        let over = w.basis.base.over_floor.unwrap_or(1.0).max(1.0);
+        w.basis.base.fitted[0] as f64 * (0.5 + libm::log(over) - 0.5 * over * over)
+    };
+    windows.iter().map(of).sum()
 }
 
-/// Whether an effect surely closes a good part of the held-out gap.
-fn closes_well(effect: &Contender) -> bool {
-    let surely = effect.closed_interval.is_none_or(|[low, _]| low > 0.0);
-    surely && effect.closed_pct.is_some_and(|closed| closed >= MEASURED)
+/// Probabilities of answers with these log odds, best first.
+fn softmax(odds: &[(&str, f64)]) -> Vec<Answer> {
+    let most = best(odds.iter().map(|(_, z)| *z));
+    let mut all: Vec<Answer> =
+        odds.iter().map(|(id, z)| Answer { id: (*id).to_owned(), p: libm::exp(z - most) }).collect();
+    let sum: f64 = all.iter().map(|a| a.p).sum();
+    all.iter_mut().for_each(|a| a.p /= sum);
+    all.sort_by(|a, b| b.p.total_cmp(&a.p));
+    all
 }
 
-/// Whether an effect is a neighbour that leads, and explains more than what stands behind a recorded valve position.
-fn is_measured_load(basis: &Basis, effect: &Contender) -> bool {
-    let explains = basis.by_mv.is_none() || explains_more(basis, effect);
-    is_neighbour(&effect.id) && effect.lead > 0.0 && explains
+fn best(of: impl Iterator<Item = f64>) -> f64 {
+    of.fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// Whether an id is that of two effects.
 fn is_pair(id: &str) -> bool {
     effects::parts(id).nth(1).is_some()
+}
+
+/// Whether an effect, or one of two, bends to nearly anything.
+fn bends(id: &str) -> bool {
+    effects::parts(id).any(|part| effects::by_id(part).is_some_and(|e| e.bends))
+}
+
+/// The effects that were tried in any window, each once.
+fn ids<'e>(windows: &[&'e Evidence]) -> Vec<&'e str> {
+    let mut all: Vec<&str> = windows.iter().flat_map(|w| w.contenders.iter().map(|c| c.id.as_str())).collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+/// Scores by the order of the noise, summed over the windows; one in which an effect was not tried tells nothing for it.
+fn summed<'e>(windows: &[&'e Evidence], of: impl Fn(&'e Evidence) -> Option<&'e Contender>) -> [f64; 5] {
+    let each = windows.iter().map(|w| of(w).map_or(&w.basis.base, |c| &c.left).scores());
+    each.fold([0.0; 5], |sum, own| core::array::from_fn(|order| sum[order] + own[order]))
+}
+
+fn contender<'e>(of: &'e Evidence, id: &str) -> Option<&'e Contender> {
+    of.contenders.iter().find(|c| c.id == id)
+}
+
+/// Whether an effect is what its name says, and acts where a recorded valve position lets it act.
+fn is_allowed(windows: &[&Evidence], id: &str) -> bool {
+    let fits = |w: &Evidence| {
+        let own = contender(w, id)?;
+        let stands = match w.basis.by_mv {
+            Some(Stage::Valve) => own.stage == Stage::Valve,
+            Some(Stage::Process) => effects::parts(id).all(|id| effects::by_id(id).is_none_or(|e| e.behind_stem)),
+            _ => true,
+        };
+        Some(own.lead > 0.0 && stands)
+    };
+    is_most(windows, |w| fits(w) == Some(true))
+}
+
+fn is_most(windows: &[&Evidence], is: impl Fn(&Evidence) -> bool) -> bool {
+    2 * windows.iter().filter(|w| is(w)).count() > windows.len()
+}
+
+/// Where an answer acts.
+fn stage_of(windows: &[&Evidence], id: &str) -> Stage {
+    let weighed = || windows.iter().find_map(|w| contender(w, id)).map(|c| c.stage);
+    let known = || effects::by_id(id).map(|e| e.stage);
+    if id == NONE { Stage::None } else { weighed().or_else(known).unwrap_or(Stage::CannotTell) }
+}
+
+/// Whether held-out blocks, and where it can say so the run forward in time, bear a call out.
+#[must_use]
+pub(crate) fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
+    let closes = effect.closed_pct.is_some_and(|c| c > CLOSES) || effect.gap_after < 0.9 * effect.gap_before;
+    let local = effects::parts(&effect.id).any(|id| effects::by_id(id).is_some_and(|e| e.local));
+    closes && (local || forward.is_none_or(|[before, after]| after < before))
+}
+
+/// Whether held-out blocks alone bear an answer out, for one that was decided from several windows or again.
+#[must_use]
+pub fn holds_out(windows: &[&Evidence], id: &str) -> bool {
+    if id == NONE {
+        return is_most(windows, |w| w.basis.base_at_floor);
+    }
+    let tried: Vec<&Contender> = windows.iter().filter_map(|w| contender(w, id)).collect();
+    let closed: Vec<f64> = tried.iter().filter_map(|c| c.closed_pct).collect();
+    let shown = trace(windows) == Some(id) || id == effects::time_skew::EFFECT.id;
+    if tried.is_empty() { shown } else { !closed.is_empty() && stats::median(&closed) > CLOSES }
 }
 
 /// Whether free run can predict an effect.
@@ -332,127 +253,107 @@ pub(crate) fn predictable(id: &str) -> bool {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use super::super::evidence::Left;
-    use super::super::types::Alone;
+    use super::super::evidence::{Basis, Left};
     use super::*;
 
-    fn left(over: f64) -> Left {
-        let over = Some(over);
-        Left { over_floor: over, colour: 0.0, with_op: 9.0, fitted: [900, 8], one_step: [[0.0; 2]; 5] }
+    /// Numbers that make every case below clear.
+    fn calibration() -> Calibration {
+        Calibration { temperature: 1.0, misfit: 0.02, ..Calibration::blank() }
+    }
+
+    /// What a fit leaves: nats a point with white noise, and what noise adds that has a memory of one point, or of more.
+    fn left(white: f64, [first, more]: [f64; 2]) -> Left {
+        let of = |order: usize| white + if order > 0 { first } else { 0.0 } + if order > 1 { more } else { 0.0 };
+        Left { over_floor: Some(1.0), fitted: [900, 8], one_step: core::array::from_fn(|order| [of(order); 2]) }
     }
 
     pub(in crate::core::gap) fn basis(traces: &[&str]) -> Basis {
-        let noise =
-            NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: false, beyond_first: 0.0 };
         Basis {
             traces: traces.iter().map(|t| (*t).to_owned()).collect(),
-            traces_close: [("swinging_door".to_owned(), 5.0)].into(),
-            filter: false,
             acts: None,
             skew: None,
-            noise,
-            alone: None,
-            coloured_noise: false,
+            coloured_noise: true,
             by_mv: None,
-            on_mv: Vec::new(),
             base_at_floor: false,
-            base: Left { colour: 1.0, with_op: 9.0, ..left(6.0) },
-            excited: false,
-            linear: false,
+            base: left(0.0, [0.0; 2]),
         }
     }
 
+    /// An effect that gains so much a point over the base, and what a memory of first order adds.
+    pub(in crate::core::gap) fn contender(id: &str, gain: f64, memory: f64) -> Contender {
+        let left = Left { fitted: [900, 10], ..left(gain, [memory, 0.0]) };
+        Contender { id: id.to_owned(), stage: Stage::Process, lead: gain, closed_pct: Some(60.0), left }
+    }
+
+    fn said(basis: Basis, contenders: Vec<Contender>) -> String {
+        decide(&[&Evidence { basis, contenders }], &calibration()).cause.id
+    }
+
     #[test]
-    fn under_what_a_recorder_did_the_effect_is_named_that_its_stored_values_show() {
-        // What is left for the alternatives is to be enough for each to be listed.
-        let calibration = Calibration { trace: 0.5, ..Calibration::shipped().clone() };
-        let said = |contender: Contender, door: f64| {
-            let traces_close = [("swinging_door".to_owned(), door)].into();
-            let basis = Basis { traces_close, ..basis(&["swinging_door"]) };
-            let evidence = Evidence { basis, contenders: vec![contender] };
-            let decision = decide(&evidence, &calibration);
-            let listed = decision.alternatives.iter().any(|a| a.id == "slip_overshoot");
-            (decision.cause.id, decision.second.map(|s| s.id), listed)
-        };
-        let overshoot = |over, evidence, closed| contender("slip_overshoot", over, evidence, closed);
-        let (door, both) = ("swinging_door".to_owned(), Some("slip_overshoot".to_owned()));
-        assert_eq!(said(overshoot(1.02, 2.0, 38.0), 40.0), (door.clone(), both, false));
-        assert_eq!(said(overshoot(1.3, 2.0, 38.0), 40.0), (door.clone(), None, true), "more than noise is left");
-        assert_eq!(said(overshoot(1.02, 0.2, 38.0), 40.0), (door.clone(), None, true), "hardly better than the base");
-        let made = said(overshoot(1.01, 3.0, 97.0), 5.0);
-        assert_eq!(made, ("slip_overshoot".to_owned(), Some(door), false), "the recorder made next to nothing of it");
+    fn the_noise_that_an_answer_needs_decides_between_them() {
+        let with_memory = |memory| Basis { base: left(0.0, memory), ..basis(&[]) };
+        let weak = || vec![contender("ramp", 0.001, 0.0)];
+        assert_eq!(said(basis(&[]), weak()), NONE, "two numbers cost more than they gain");
+        assert_eq!(said(basis(&[]), vec![contender("ramp", 0.3, 0.0)]), "ramp");
+        assert_eq!(said(with_memory([0.3, 0.0]), weak()), "coloured_noise");
+        assert_eq!(said(with_memory([0.3, 0.1]), weak()), UNKNOWN, "a cycle elsewhere is of higher order");
+        let not_asked = Basis { coloured_noise: false, ..with_memory([0.3, 0.0]) };
+        assert_eq!(said(not_asked, weak()), UNKNOWN);
+        assert_eq!(said(basis(&[]), vec![contender("ramp", 0.3, 0.2)]), UNKNOWN, "what it leaves is no noise");
+        assert_eq!(said(with_memory([0.3, 0.1]), vec![contender("ramp", 0.6, 0.0)]), "ramp");
+    }
+
+    #[test]
+    fn probabilities_sum_to_one_and_an_effect_is_named_where_it_is_likelier_than_all_else() {
+        let lag = |gain: f64| contender("extra_lag", gain, 0.0);
+        let of = |rivals: Vec<Contender>| Evidence { basis: basis(&[]), contenders: rivals };
+        let evidence = of(vec![lag(0.301), contender("integrating", 0.295, 0.0)]);
+        let all = answers(&[&evidence], &calibration());
+        assert!((all.iter().map(|a| a.p).sum::<f64>() - 1.0).abs() < 1e-12 && all[0].id == "extra_lag");
+        let named = decide(&[&evidence], &calibration());
+        let told: f64 = named.alternatives.iter().map(|a| a.probability).sum();
+        assert!((named.cause.probability + told - 1.0).abs() < 0.02 && named.alternatives[0].id == "integrating");
+        let three = ["integrating", "backlash"].map(|id| contender(id, 0.301, 0.0));
+        let unsure = decide(&[&of(three.into_iter().chain([lag(0.301)]).collect())], &calibration());
+        assert_eq!((named.cause.id.as_str(), unsure.cause.id.as_str()), ("extra_lag", UNKNOWN));
+    }
+
+    #[test]
+    fn what_a_recorder_did_is_the_cause_and_what_acts_under_it_the_second() {
+        let ramp = |gain| vec![contender("ramp", gain, 0.0)];
+        let of = |contenders| decide(&[&Evidence { basis: basis(&["swinging_door"]), contenders }], &calibration());
+        let both = of(ramp(0.3));
+        assert_eq!((both.cause.id.as_str(), both.second.unwrap().id.as_str()), ("swinging_door", "ramp"));
+        assert_eq!(of(ramp(0.0)).second, None);
+        let over =
+            |over| Basis { base: Left { over_floor: Some(over), ..left(0.0, [0.0; 2]) }, ..basis(&["outliers"]) };
+        assert_eq!(said(over(1.1), ramp(0.3)), "outliers");
+        assert_eq!(said(over(3.0), ramp(0.3)), "ramp", "single wild samples are not all that is left");
+        let skewed = Basis { skew: Some(5.0), ..basis(&[]) };
+        assert_eq!(said(skewed, ramp(0.3)), "time_skew");
     }
 
     #[test]
     fn a_load_of_both_halves_is_named_but_where_the_base_or_the_valve_position_explains_pv() {
         let load = "neighbour(F7)";
-        let of = |basis: Basis| Evidence { basis, contenders: vec![contender("sinusoid", 1.5, 1.0, 60.0)] };
-        let said = |basis: Basis| decide(&of(basis), Calibration::shipped()).cause;
+        let evidence = |basis: Basis| Evidence { basis, contenders: vec![contender("sinusoid", 0.3, 0.0)] };
+        let named = |basis: Basis| decide(&[&evidence(basis)], &calibration()).cause;
         let acts = || Basis { acts: Some(load.to_owned()), ..basis(&[]) };
-        let named = said(acts());
-        assert_eq!((named.id.as_str(), named.stage), (load, Stage::Disturbance));
-        assert!((named.probability - Calibration::shipped().neighbour).abs() < 1e-12);
-        assert_ne!(decide(&of(acts()).without("neighbour"), Calibration::shipped()).cause.id, load);
-        assert_ne!(said(Basis { by_mv: Some(Stage::Valve), ..acts() }).id, load);
-        assert_ne!(said(Basis { base_at_floor: true, ..acts() }).id, load);
-        assert_ne!(said(basis(&[])).id, load);
-    }
-
-    pub(in crate::core::gap) fn contender(id: &str, over_floor: f64, evidence: f64, closed_pct: f64) -> Contender {
-        Contender {
-            id: id.to_owned(),
-            stage: Stage::Process,
-            raw_gain: evidence,
-            evidence,
-            lead: evidence,
-            at_floor: over_floor <= 1.05,
-            closed_pct: Some(closed_pct),
-            closed_interval: None,
-            left: left(over_floor),
-        }
+        let cause = named(acts());
+        assert_eq!((cause.id.as_str(), cause.stage), (load, Stage::Disturbance));
+        assert!((cause.probability - calibration().acts).abs() < 1e-12);
+        assert_ne!(decide(&[&evidence(acts()).without("neighbour")], &calibration()).cause.id, load);
+        assert_ne!(named(Basis { by_mv: Some(Stage::Valve), ..acts() }).id, load);
+        assert_ne!(named(Basis { base_at_floor: true, ..acts() }).id, load);
     }
 
     #[test]
-    fn coloured_noise_is_named_only_where_one_step_of_memory_is_all_that_the_base_leaves() {
-        let models = |beyond_first| NoiseModels {
-            over_base: 2.0,
-            over_best: 1.0,
-            independence_p: 0.8,
-            whitens: true,
-            beyond_first,
-        };
-        let said = |of_base, of_best_place| {
-            let alone = Some(Alone { models: of_best_place, tails: 0.0 });
-            let basis = Basis { noise: models(of_base), alone, coloured_noise: true, ..basis(&[]) };
-            let weak = contender("sinusoid", 3.0, -0.5, 5.0);
-            decide(&Evidence { basis, contenders: vec![weak] }, Calibration::shipped()).cause.id
-        };
-        assert_eq!(said(0.01, models(0.01)), "coloured_noise");
-        assert_eq!(said(0.2, models(0.01)), UNKNOWN, "a cycle elsewhere is of higher order");
-        assert_eq!(said(0.01, models(0.2)), UNKNOWN);
-        let dependent = |over_best| NoiseModels { over_best, independence_p: 0.02, ..models(0.01) };
-        assert_eq!(said(0.01, dependent(0.1)), UNKNOWN, "an effect explains nearly as much");
-        assert_eq!(said(0.01, dependent(1.0)), "coloured_noise");
-    }
-
-    #[test]
-    fn two_effects_are_named_only_where_they_explain_what_none_does_alone() {
-        let (ramp, drift) = (contender("ramp", 1.6, 1.0, 60.0), contender("gain_drift", 2.0, 0.5, 30.0));
-        let both = contender("gain_drift+ramp", 1.01, 2.0, 98.0);
-        let base = left(6.0);
-        assert!(says_more(&both, &[&ramp, &drift], &base));
-        assert!(!says_more(&both, &[&contender("ramp", 1.1, 1.0, 60.0), &drift], &base), "one explains it");
-        assert!(
-            !says_more(&contender("gain_drift+ramp", 1.3, 2.0, 98.0), &[&ramp, &drift], &base),
-            "more than noise is left"
-        );
-        assert!(
-            !says_more(&contender("gain_drift+ramp", 1.15, 2.0, 98.0), &[&ramp, &drift], &left(1.7)),
-            "it closes little of a small gap"
-        );
-        assert!(
-            !says_more(&contender("gain_drift+ramp", 1.01, 1.0, 98.0), &[&ramp, &drift], &base),
-            "it gains no more"
-        );
+    fn windows_add_what_they_show() {
+        let window = |gain: f64| Evidence { basis: basis(&[]), contenders: vec![contender("ramp", gain, 0.0)] };
+        let said = |windows: &[&Evidence]| decide(windows, &calibration()).cause.id;
+        let (faint, silent) = (window(0.011), Evidence { contenders: Vec::new(), ..window(0.0) });
+        assert_eq!(said(&[&faint]), NONE);
+        assert_eq!(said(&[&faint; 5]), "ramp");
+        assert_eq!(said(&[&faint, &silent, &silent]), NONE, "most windows did not try it");
     }
 }

@@ -16,12 +16,12 @@ use super::next_test::next_test;
 use super::noise;
 use super::pairs;
 use super::problem::{Problem, period_of};
-use super::schedule::{self, Found, Work, residual_at, residual_of};
+use super::schedule::{self, Found, Work, residual_of};
 use super::search::Search;
 use super::signatures;
 use super::stages;
 use super::traces::Traces;
-use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, FromSp, GapError, GapOptions};
+use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, FromSp, GapError, GapOptions, Stages};
 use super::weigh::{Scales, sort_by_lead};
 use crate::core::ident::controller;
 use crate::core::record::Record;
@@ -217,15 +217,15 @@ fn weigh_all(
     };
     work.begin(options.budget_evaluations);
     let against = (base.rmse_train, floor.noise_floor);
-    let seen = stages::look(record, problem, traces, against, &options.without, work);
+    let stages = stages::look(record, problem, traces, against, work);
     let scales = searched.scales(&base, options.seed);
     let Looked { offered, rivals, filtered } = looked;
     let mut effects = weigh(&scales, found, filtered.as_ref(), options);
     effects.extend(rivals.iter().filter_map(|(with, search)| Scales { problem: with, ..scales }.weigh(search)));
     sort_by_lead(&mut effects);
     let (compared, loads) = offered.map(|o| (o.compared, o.loads)).unzip();
-    let mut basis = basis(record, searched, &scales, &effects, seen.as_ref(), options);
-    basis.acts = compared.as_ref().and_then(|c| c.acts.as_deref()).map(effects::neighbour::id_of);
+    let acts = compared.as_ref().and_then(|c| c.acts.as_deref());
+    let basis = basis(record, searched, &base, stages.as_ref(), acts, options);
     Ok(Findings {
         relative_gap: base.gap / problem.normalised.deviation,
         base,
@@ -235,7 +235,7 @@ fn weigh_all(
         floor: *floor,
         blocks: problem.blocks.clone(),
         signatures: traces.signatures.clone(),
-        stages: seen.map(|s| s.stages),
+        stages,
         basis,
         neighbours: compared,
         loads: loads.unwrap_or_default(),
@@ -293,7 +293,7 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
     let left = residual_of(problem, &found.base);
     let one_step = left
         .and_then(|r| noise::autoregression(&r, &problem.train))
-        .map(|a| a.mse.sqrt() * problem.normalised.deviation);
+        .map(|mse| mse.sqrt() * problem.normalised.deviation);
     for effect in effects::ALL.into_iter().filter(|e| options.asks(e.id)) {
         let floor_after = match effect.way {
             Way::Noise => one_step,
@@ -313,25 +313,12 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
 fn basis(
     record: &Record,
     searched: &Searched,
-    scales: &Scales<'_>,
-    weighed: &[EffectResult],
-    seen: Option<&stages::Seen>,
+    base: &Fit,
+    seen: Option<&Stages>,
+    acts: Option<&str>,
     options: &GapOptions,
 ) -> Basis {
-    let Searched { traces, problem, floor, found } = searched;
-    let base = scales.base;
-    let nothing = || vec![0.0; problem.n()];
-    let mut of_base = vec![residual_of(problem, &found.base).unwrap_or_else(nothing)];
-    let places = found.base.best.iter().skip(1).chain(&found.by_moves);
-    of_base.extend(places.filter_map(|place| residual_at(problem, &found.base, place)));
-    let best = found.searches.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()));
-    let of_best = best.and_then(|search| residual_of(problem, search)).unwrap_or_else(nothing);
-    let after = (base.dead_time_s + base.time_constants_s.first().copied().unwrap_or(0.0)) / problem.point_s;
-    let mut slipped = vec![false; problem.n()];
-    for slip in &base.slips {
-        let end = (slip.point + after.ceil() as usize + 1).min(problem.n());
-        slipped[slip.point..end].fill(true);
-    }
+    let Searched { traces, problem, floor, .. } = searched;
     let mut strongest: Vec<_> = traces.signatures.iter().filter(|s| s.met).collect();
     strongest.sort_by(|a, b| (b.value / b.threshold).total_cmp(&(a.value / a.threshold)));
     let reading = controller::read_within(record, LAGS);
@@ -341,30 +328,13 @@ fn basis(
     });
     Basis {
         traces: strongest.iter().filter(|s| options.asks(s.id)).map(|s| s.id.to_owned()).collect(),
-        traces_close: weighed
-            .iter()
-            .filter(|e| !e.simulated)
-            .filter_map(|e| Some((e.id.clone(), scales.closes_where_fitted(e)?)))
-            .collect(),
-        filter: weighed.iter().any(|e| e.simulated && e.id == effects::sensor_filter::EFFECT.id),
-        acts: None,
+        acts: acts.map(effects::neighbour::id_of),
         skew: skew.filter(|_| options.asks(effects::time_skew::EFFECT.id)),
-        noise: noise::judge(problem, &of_base[0], &of_best, &slipped, options.seed),
-        alone: noise::alone(problem, &of_base, &of_best, &slipped, options.seed),
         coloured_noise: options.asks(effects::coloured_noise::EFFECT.id),
-        by_mv: seen.map(|s| s.stages.stage).filter(|_| !base.at_floor),
-        on_mv: seen.map(|s| s.ranked.clone()).unwrap_or_default(),
+        by_mv: seen.map(|s| s.stage).filter(|_| !base.at_floor),
         base_at_floor: base.at_floor,
         base: Left::of(base, floor.noise_floor),
-        excited: excited(record, problem),
-        linear: options.base == Base::Linear,
     }
-}
-
-/// Whether the record holds more than one repeated swing: the set point moves, or OP's turns differ in size.
-fn excited(record: &Record, problem: &Problem) -> bool {
-    let moves = record.sp.as_ref().is_some_and(|sp| stats::std_dev(sp) > 0.05 * problem.normalised.deviation);
-    moves || !problem.oscillates
 }
 
 /// Base and cause fitted to the first part alone: the run over the rest from OP, and from SP.

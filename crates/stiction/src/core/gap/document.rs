@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use super::agree;
 use super::budget::document::{BudgetNote, CANNOT_BE_TOLD, NOT_IN_CATALOGUE, TOLD, TellableNote};
 use super::budget::{self, Budget};
-use super::decide::LITTLE;
 use super::effects;
 use super::enough::EnoughNote;
 use super::judged::Diagnosis;
@@ -20,9 +19,10 @@ use super::set_point::{self, Move};
 use super::sizes::{Quantity, share_left};
 use super::types::{
     Alternative, Base, Cause, Compared, EffectResult, Ended, Fit, Forward, FromSp, GapOptions, NONE, NextTest,
-    NoiseModels, Parameter, Stage, UNKNOWN,
+    Parameter, Stage, UNKNOWN,
 };
 use super::valve_note::ValveNote;
+use super::weigh::LITTLE;
 use crate::core::record::Record;
 use crate::core::signal::stats;
 use crate::core::units::Moment;
@@ -244,20 +244,6 @@ pub struct ModelAfter {
     pub valve_model: String,
 }
 
-/// Noise models of the residual, as [`super::types::NoiseModels`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct NoiseNote {
-    /// Gain of an autoregressive model of the best residual, log mean squared error.
-    pub over_base: f64,
-    /// Advantage over the best structural model, log mean squared error.
-    pub over_best: f64,
-    /// Smallest p value for independence.
-    pub independence_p: f64,
-    /// Whether it leaves white noise.
-    pub whitens: bool,
-}
-
 /// The document.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -309,8 +295,6 @@ pub struct GapDocument {
     pub stopped_early: bool,
     /// Pairs of effects, best first; empty if one effect explains the record, unless requested.
     pub pairs: Vec<EffectNote>,
-    /// Noise models of the residual.
-    pub noise_models: NoiseNote,
     /// The simulated closed loop, if the controller can be identified.
     pub closed_loop: Option<Cycles>,
     /// The closed loop from SP alone, over the part that was not fitted; none where SP hardly moves or no controller can be read.
@@ -409,7 +393,6 @@ impl GapDocument {
             search: SearchNote { evaluations: spent.evaluations, budget: spent.budget, ended: spent.ended },
             stopped_early: spent.stopped_early,
             pairs,
-            noise_models: NoiseNote::of(&diagnosis.findings.basis.noise),
             closed_loop,
             from_sp: diagnosis.from_sp,
             budget,
@@ -503,13 +486,6 @@ impl TestNote {
     fn of(test: &NextTest) -> Self {
         let NextTest { signal, size, duration_s, separates, p, moves_pv } = test.clone();
         Self { signal: signal.to_owned(), size, duration_s, separates, p, total_s: HOLDS * duration_s, moves_pv }
-    }
-}
-
-impl NoiseNote {
-    fn of(models: &NoiseModels) -> Self {
-        let NoiseModels { over_base, over_best, independence_p, whitens, .. } = *models;
-        Self { over_base, over_best, independence_p, whitens }
     }
 }
 

@@ -8,7 +8,6 @@ use super::problem::Problem;
 use super::search::Search;
 use super::structure::Structure;
 use super::types::{Fit, Parameter, Slip};
-use crate::core::ident::residual::whiteness_where;
 use crate::core::sim::process::separated;
 use crate::core::sim::slips::Law;
 
@@ -175,7 +174,6 @@ impl Fit {
         let pv = problem.normalised.pv.iter().map(|y| problem.pv_of(*y));
         let residual: Vec<f64> = pv.zip(&prediction).map(|(y, p)| y - p).collect();
         let [train, test] = [&problem.train, &problem.test].map(|stretches| rms(&residual, stretches));
-        let one_step = noise::autoregression(&residual, &problem.train).map_or(train * train, |a| a.mse);
         let has_friction = model.valve.law != "none";
         Self {
             id,
@@ -191,10 +189,8 @@ impl Fit {
             parameters: 0,
             evaluations: 0,
             at_floor: floor.is_some_and(|f| train <= AT_FLOOR * f),
-            colour: libm::log((train * train).max(1e-300)) - libm::log(one_step.max(1e-300)),
             points: problem.train.iter().map(|[a, b]| b - a).sum(),
             one_step: noise::one_step(&residual, problem),
-            with_op: whiteness_where(&residual, &problem.normalised.mean, &problem.train).cross,
         }
     }
 }

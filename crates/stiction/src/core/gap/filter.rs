@@ -125,7 +125,7 @@ impl Left {
     fn by(problem: &Problem, search: &Search) -> Option<Self> {
         let left = residual_of(problem, search)?;
         let log = |mse: f64| libm::log(mse.max(1e-300)) + 2.0 * libm::log(problem.normalised.deviation);
-        let one_step = noise::autoregression(&left, &problem.train).map(|a| log(a.mse))?;
+        let one_step = noise::autoregression(&left, &problem.train).map(log)?;
         let (first, pole) = noise::first_order(&left, &problem.train)?;
         Some(Self { one_step, pole, is_first: log(first) - one_step < FIRST_ORDER })
     }

@@ -1,12 +1,12 @@
 //! What a diagnosis found, what is named for it, and what was computed for that name.
 
 use super::agree::is_physical;
+use super::calibration::Calibration;
 use super::decide::{self, Decision};
 use super::effects;
 use super::evidence::{Basis, Evidence};
 use super::model::Model;
 use super::neighbour::Load;
-use super::probability::Calibration;
 use super::sizes::share_left;
 use super::types::{
     Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, FromSp, NONE, NextTest,
@@ -52,7 +52,7 @@ impl Findings {
     /// The decision.
     #[must_use]
     pub(super) fn decide(&self) -> Decision {
-        decide::decide(&self.evidence(), Calibration::shipped())
+        decide::decide(&[&self.evidence()], Calibration::shipped())
     }
 
     /// The result of an effect or pair.
@@ -250,8 +250,8 @@ mod tests {
         let mut found = diagnose(&Record::uniform(1.0, op, pv), &GapOptions::default(), &Serial).unwrap();
         assert!(found.cause.id == "sinusoid" && found.cause.confirmed, "{:?}", found.cause);
         // What was computed for one cause says nothing of another.
-        let another =
-            found.with_decision(decide::decide(&found.evidence().without("sinusoid"), Calibration::shipped()));
+        let without = found.evidence().without("sinusoid");
+        let another = found.with_decision(decide::decide(&[&without], Calibration::shipped()));
         assert!(found.fits_to_all.len() == 2 && found.forward.is_some());
         assert!(another.cause.id != "sinusoid" && another.fits_to_all == found.fits_to_all[..1]);
         assert!(another.forward.is_none() && another.next_test.is_none());

@@ -5,6 +5,7 @@
 
 mod agree;
 pub mod budget;
+pub mod calibration;
 mod candidate;
 mod decide;
 mod diagnosis;
@@ -32,7 +33,6 @@ mod pairs;
 mod plain;
 mod plan;
 pub mod pool;
-pub mod probability;
 mod problem;
 mod response;
 mod schedule;
@@ -52,14 +52,13 @@ mod valve_note;
 mod valve_signal;
 mod weigh;
 
-pub use decide::{By, Decision, decide, holds_out};
+pub use decide::{Answer, Decision, answers, decide, holds_out};
 pub use diagnosis::{MIN_POINTS, diagnose};
 pub use evidence::{Basis, Evidence};
 pub use given::check as check_model;
 pub use judged::Diagnosis;
 pub use neighbour::{Neighbour, NeighbourError};
 pub use neighbours::compare as compare_neighbours;
-pub use probability::Features;
 pub use sizes::Quantity;
 pub use types::*;
 

@@ -253,12 +253,7 @@ fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>, within: f64) -> 
 /// What a search's best candidate leaves of PV at each point, deviations.
 #[must_use]
 pub(crate) fn residual_of(problem: &Problem, search: &Search) -> Option<Vec<f64>> {
-    residual_at(problem, search, search.best.first()?)
-}
-
-/// The same of another of its places.
-#[must_use]
-pub(crate) fn residual_at(problem: &Problem, search: &Search, place: &Candidate) -> Option<Vec<f64>> {
+    let place = search.best.first()?;
     let (prediction, _) = PlainPass::new(problem, search.sign).simulate(&search.structure, place)?;
     Some(problem.normalised.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect())
 }

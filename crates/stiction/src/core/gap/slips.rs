@@ -221,8 +221,8 @@ mod tests {
             let base = fit(problem, &found.base, floor.noise_floor, &|_| {}).unwrap();
             let scales = Scales { problem, floor: &floor, base: &base, search: &found.base, traces: &traces, seed: 1 };
             let of_fit = |fit: &crate::core::gap::types::Fit| {
-                let Left { over_floor, colour, with_op, one_step, .. } = Left::of(fit, floor.noise_floor);
-                (over_floor, colour, with_op, one_step.map(|sides| sides[0]))
+                let Left { over_floor, one_step, .. } = Left::of(fit, floor.noise_floor);
+                (over_floor, one_step.map(|sides| sides[0]))
             };
             let of_search = |search: &Search| {
                 let weighed = scales.weigh(search)?;

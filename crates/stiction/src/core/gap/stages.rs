@@ -1,17 +1,12 @@
 //! With the valve position recorded the gap falls in two: OP to MV, which only the valve makes, and MV to PV, which
 //! everything behind it makes.
 
-use super::candidate::Candidate;
-use super::effects::{self, Way};
-use super::evidence::OnMv;
 use super::express::{fit, rms};
 use super::noise;
-use super::problem::{Problem, View};
+use super::problem::Problem;
 use super::schedule::{self, Work, is_calm, residual_of};
-use super::search::Search;
 use super::traces::Traces;
 use super::types::{Stage, Stages};
-use super::weigh::leaves_noise;
 use crate::core::record::Record;
 use crate::core::signal::stats;
 use crate::core::sim::slips::Law;
@@ -21,15 +16,6 @@ const EXPLAINS: f64 = 1.08;
 /// Share of the base's logarithm of that up to which MV explains what OP does not, and from which it does not help. A
 /// position that is sampled once a scan leaves a little even where the valve is all that is wrong.
 const MOSTLY: [f64; 2] = [0.2, 0.6];
-
-/// What MV shows.
-#[derive(Debug, Clone)]
-pub struct Seen {
-    /// The two gaps.
-    pub stages: Stages,
-    /// Effects behind the valve by their evidence beyond the margin on MV, best first.
-    pub ranked: Vec<OnMv>,
-}
 
 /// The record with MV in the place of OP.
 fn driven_by(record: &Record, mv: &[f64]) -> Record {
@@ -44,9 +30,8 @@ pub(crate) fn look(
     problem: &Problem,
     traces: &Traces,
     (from_op, floor): (f64, Option<f64>),
-    without: &[String],
     work: &mut Work<'_>,
-) -> Option<Seen> {
+) -> Option<Stages> {
     if work.stopped {
         return None;
     }
@@ -57,12 +42,9 @@ pub(crate) fn look(
     let mut from_mv =
         Problem::new(&behind, Some(problem.period), work.seed, masked.clone()).fitted_where(&traces.measured);
     from_mv.sign = None;
-    let not_behind = effects::ALL.into_iter().filter(|e| !e.behind_stem || e.way != Way::Simulated);
-    let mut left_out: Vec<String> = not_behind.map(|e| e.id.to_owned()).collect();
-    left_out.extend(without.iter().cloned());
-    let found = schedule::run(&from_mv, None, &left_out, floor, work)?;
-    let base = fit(&from_mv, &found.base, floor, &|_| {})?;
-    let calm = is_calm(&from_mv, &found.base, floor);
+    let (search, _) = schedule::base(&from_mv, None, floor, work)?;
+    let base = fit(&from_mv, &search, floor, &|_| {})?;
+    let calm = is_calm(&from_mv, &search, floor);
     let stage =
         if calm { Stage::Valve } else { floor.map_or(Stage::Process, |f| pointed(base.rmse_train / f, from_op / f)) };
     let before = Record { pv: mv.clone(), mv: None, ..record.clone() };
@@ -72,10 +54,7 @@ pub(crate) fn look(
     let valve =
         schedule::base(&to_mv, Some(Law::He), mv_floor, work).and_then(|(search, _)| residual_of(&to_mv, &search));
     let op_to_mv = valve.map_or(1.0, |left| rms(&left, &to_mv.test));
-    Some(Seen {
-        stages: Stages { op_to_mv: 100.0 * op_to_mv * op_to_mv, mv_to_pv: base.gap, stage },
-        ranked: ranked(&from_mv, &found.base, &found.searches, floor),
-    })
+    Some(Stages { op_to_mv: 100.0 * op_to_mv * op_to_mv, mv_to_pv: base.gap, stage })
 }
 
 /// The stage that errors over the floor point to, from MV and from OP.
@@ -86,28 +65,6 @@ fn pointed(from_mv: f64, from_op: f64) -> Stage {
         left if left >= MOSTLY[1] * above(from_op) => Stage::Process,
         _ => Stage::CannotTell,
     }
-}
-
-fn ranked(problem: &Problem, base: &Search, searches: &[Search], floor: Option<f64>) -> Vec<OnMv> {
-    let n = problem.target(View::Plain).len().max(2) as f64;
-    let freedom = |search: &Search, of: &Candidate| search.structure.freedom(&search.structure.plan(&of.theta)) as f64;
-    let score = |search: &Search| {
-        let best = search.best.first()?;
-        Some(libm::log((best.sse / n).max(1e-30)) + freedom(search, best) * libm::log(n) / n)
-    };
-    let Some(own) = score(base) else { return Vec::new() };
-    let mut out: Vec<OnMv> = searches
-        .iter()
-        .filter(|search| leaves_noise(problem, search, floor))
-        .filter_map(|search| {
-            let effect = search.structure.each().next()?;
-            let evidence = own - score(search)? - effect.margin + effects::MARGIN;
-            let error = (search.sse() / n).sqrt() * problem.normalised.deviation;
-            Some(OnMv { id: effect.id.to_owned(), evidence, over_floor: floor.map(|f| error / f) })
-        })
-        .collect();
-    out.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-    out
 }
 
 #[cfg(test)]

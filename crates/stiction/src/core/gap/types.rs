@@ -266,10 +266,6 @@ pub struct Fit {
     pub evaluations: u64,
     /// Whether its training error is within 5 % of the noise floor.
     pub at_floor: bool,
-    /// Gain of an autoregressive model of the residual, log mean squared training error: near 0 for a white residual.
-    pub colour: f64,
-    /// Largest correlation of the residual with earlier OP or its moves, in standard errors of white noise.
-    pub with_op: f64,
     /// Fitted points.
     pub points: usize,
     /// How likely PV is one step ahead.
@@ -363,9 +359,7 @@ pub struct EffectResult {
     pub closed_pct: Option<f64>,
     /// 90 % block-bootstrap interval of it.
     pub closed_interval: Option<[f64; 2]>,
-    /// Gain in training log mean squared error over the base.
-    pub raw_gain: f64,
-    /// The same with BIC penalty; effects are ranked by it.
+    /// Gain in training log mean squared error over the base after BIC.
     pub evidence: f64,
     /// Evidence minus the effect's margin: it is named only if positive.
     pub lead: f64,
@@ -447,31 +441,6 @@ pub struct Predictions {
     pub pv_base: Vec<Option<f64>>,
     /// With the cause; the base's own for `none` and `unknown`.
     pub pv_after: Vec<Option<f64>>,
-}
-
-/// Noise models of the base's residual.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct NoiseModels {
-    /// Gain of an autoregressive model of the best residual, one step ahead, log mean squared training error.
-    pub over_base: f64,
-    /// Advantage over the best structural model, log mean squared error.
-    pub over_best: f64,
-    /// Smallest p value for independence from OP, its moves, cycle phase and level.
-    pub independence_p: f64,
-    /// Whether the autoregressive model leaves white noise.
-    pub whitens: bool,
-    /// Advantage of a higher-order autoregressive model over first order, log mean squared error: oscillation and responses to
-    /// moves are of higher order than coloured noise.
-    pub beyond_first: f64,
-}
-
-/// The same for the residual of the base that is best one step ahead.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Alone {
-    /// The same; first order describes coloured noise with white noise added.
-    pub models: NoiseModels,
-    /// Excess kurtosis of the innovations: 0 for noise, large if some of them are slips that the model lacks.
-    pub tails: f64,
 }
 
 /// Partial gaps if the valve position is recorded.

@@ -19,6 +19,8 @@ const RESAMPLES: usize = 400;
 const LEVEL: f64 = 0.9;
 /// Error of the base over the floor below which there is nothing to close.
 pub(super) const NOTHING_LEFT: f64 = 1.05;
+/// Per cent of the gap below which an effect makes next to nothing of it.
+pub(super) const LITTLE: f64 = 10.0;
 /// Fewest fitted points a parameter: with less an effect may meet them all and say nothing.
 const POINTS_A_PARAMETER: usize = 2;
 
@@ -87,7 +89,6 @@ impl Scales<'_> {
             floor_after: None,
             closed_pct,
             closed_interval,
-            raw_gain: libm::log(base_sse.max(1e-30)) - libm::log(best.sse.max(1e-30)),
             evidence,
             lead,
             confusable_with: first.confused_with.to_vec(),
@@ -110,7 +111,6 @@ impl Scales<'_> {
             gap_after: made.gap,
             closed_pct,
             closed_interval,
-            raw_gain: libm::log(before.0.max(1e-30)) - libm::log(after.0.max(1e-30)),
             evidence,
             lead: evidence - effect.margin,
             fit: Some(made),
@@ -127,7 +127,7 @@ impl Scales<'_> {
             .recorder
             .filter(|_| met && !self.traces.beyond_reach)
             .and_then(|recorder| fit(self.problem, self.search, self.floor.noise_floor, &|p| recorder(self.traces, p)));
-        let blocks = self.blocks(made.as_ref().unwrap_or(self.base), true, made.is_some() && effect.local);
+        let blocks = self.blocks(made.as_ref().unwrap_or(self.base), made.is_some() && effect.local);
         let [before, after] = self.gaps(&blocks);
         let (closed_pct, closed_interval) = made.as_ref().map_or((None, None), |_| self.closed_in(&blocks));
         EffectResult {
@@ -140,7 +140,6 @@ impl Scales<'_> {
             floor_after,
             closed_pct,
             closed_interval,
-            raw_gain: 0.0,
             evidence: 0.0,
             lead: if met { 0.0 } else { -effects::MARGIN },
             confusable_with: effect.confused_with.to_vec(),
@@ -151,13 +150,7 @@ impl Scales<'_> {
 
     /// Per cent closed on held-out blocks and its interval; nothing where the base has no gap.
     fn closed(&self, after: &Fit) -> (Option<f64>, Option<[f64; 2]>) {
-        self.closed_in(&self.blocks(after, true, false))
-    }
-
-    /// Per cent of the gap that a recorder's effect closes on the other blocks, of those that a free run can follow.
-    pub(crate) fn closes_where_fitted(&self, recorded: &EffectResult) -> Option<f64> {
-        let is_local = effects::by_id(&recorded.id).is_some_and(|e| e.local);
-        self.closed_in(&self.blocks(recorded.fit.as_ref()?, false, is_local)).0
+        self.closed_in(&self.blocks(after, false))
     }
 
     /// Gaps before and after over blocks.
@@ -187,14 +180,14 @@ impl Scales<'_> {
         (Some(closed), interval)
     }
 
-    /// Points, squared error before and after, of every held-out block or of every other one. Points that are left out of
+    /// Points, squared error before and after, of every held-out block. Points that are left out of
     /// the fits for a passing effect's sake are what it is about: `with_unfitted` they count wherever they stand.
-    fn blocks(&self, after: &Fit, held_out: bool, with_unfitted: bool) -> Vec<[f64; 3]> {
+    fn blocks(&self, after: &Fit, with_unfitted: bool) -> Vec<[f64; 3]> {
         let blocks = &self.problem.blocks;
         let mut out = vec![[0.0; 3]; blocks.number.last().map_or(0, |n| n + 1)];
         for (k, y) in self.pv().enumerate() {
             let fitted = !blocks.masked[k] && self.problem.is_measured(k);
-            let counts = blocks.held_out[k] == held_out && !blocks.masked[k] || with_unfitted && !fitted;
+            let counts = blocks.held_out[k] && !blocks.masked[k] || with_unfitted && !fitted;
             if k >= blocks.from && counts {
                 let (b, a) = (y - self.base.prediction[k], y - after.prediction[k]);
                 let sums = &mut out[blocks.number[k]];
@@ -215,7 +208,7 @@ fn is_meant(structure: &Structure, best: &Candidate) -> bool {
 /// Whether what a search's best place leaves bears its effects' names out; `floor` in PV units. Without a floor nothing
 /// speaks against them.
 #[must_use]
-pub(crate) fn leaves_noise(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
+fn leaves_noise(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
     let (Some(floor), Some(best)) = (floor, search.best.first()) else { return true };
     let Some(left) = residual_of(problem, search) else { return true };
     let points = problem.train.iter().flat_map(|[a, b]| *a..*b);

@@ -1,6 +1,7 @@
-//! `stiction-lab challenge calibrate`: fits the decision's probabilities to answered challenges of split A (development
+//! `stiction-lab challenge calibrate`: fits the decision's numbers to answered challenges of split A (development
 //! set), and reports its quality on cases left out of the fit.
 
+use std::iter;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -8,18 +9,15 @@ use serde::Deserialize;
 use serde_json::json;
 
 use super::{ANSWERS, opened, read, write};
-use stiction::core::gap::evidence::Evidence;
-use stiction::core::gap::probability::{Calibration, Features, Outcome as Came};
-use stiction::core::gap::{Alternative as Answered, By, Decision, NONE, UNKNOWN, decide, holds_out};
-use stiction_lab::calibrate_gap::fit;
+use stiction::core::gap::calibration::Calibration;
+use stiction::core::gap::{Alternative as Answered, Decision, Evidence, NONE, UNKNOWN, decide, holds_out};
+use stiction_lab::calibrate_gap::{Example, fit};
 use stiction_lab::challenge::score::{Alternative, Answer, Called, Figures, is_expressed, score};
 use stiction_lab::challenge::{Answer as Right, Split, Truth, TruthCase};
 use stictiond::cli::{Format, Outcome, print, say};
 
-/// Thresholds tried.
-const STEP: f64 = 0.01;
-/// Lowest threshold: a named effect with less probability would look like a guess, even if it were often right.
-const LEAST_NAMED: f64 = 0.4;
+/// Thousandths that a share keeps.
+const DIGITS: f64 = 1e3;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -32,15 +30,9 @@ pub(super) struct Args {
     /// Replace an existing output file.
     #[arg(long)]
     force: bool,
-    /// Precision of the named effects at which the threshold is chosen.
-    #[arg(long, default_value_t = 0.9)]
-    precision: f64,
     /// Weight of an answer without the true effect; one with the whole catalogue weighs 1.
-    #[arg(long, default_value_t = 0.15)]
+    #[arg(long, default_value_t = 0.2)]
     withheld: f64,
-    /// L2 penalty on the feature weights.
-    #[arg(long, default_value_t = 1.0)]
-    ridge: f64,
     /// Cross-validation folds.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u8).range(2..))]
     folds: u8,
@@ -96,10 +88,8 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     let mut made = calibrated(args, &cases).context("no case has an effect; use a larger challenge")?;
     made.from = format!(
-        "challenge calibrate --precision {} --withheld {} --ridge {}; version {}, split A, {}",
-        args.precision,
+        "challenge calibrate --withheld {}; version {}, split A, {}",
         args.withheld,
-        args.ridge,
         stiction::core::VERSION,
         decks.join(", ")
     );
@@ -117,9 +107,9 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     match format {
         Format::Json => say(json!({ "schema": "stictiond.challenge.calibration.v1", "from": made.from,
-            "name_from": made.name_from, "fitted": inside, "left_out": outside }))?,
+            "fitted": inside, "left_out": outside }))?,
         Format::Text => {
-            print(&format!("{}\nan effect is named at p >= {:.2}\n\n", made.from, made.name_from))?;
+            print(&format!("{}\n\n", made.from))?;
             print(&format!("On the cases used in the fit:\n{}\n", inside.text()))?;
             print(&format!("On cases left out of the fit, {folds} folds:\n{}", outside.text()))?;
         }
@@ -152,139 +142,45 @@ fn without(cases: &[Case], part: usize, parts: usize) -> Vec<Case> {
     cases.iter().enumerate().filter(|(i, _)| i % parts != part).map(|(_, case)| case.clone()).collect()
 }
 
+/// Whether the recording itself shows a cause, so that no likelihood is asked.
+fn shows_itself(evidence: &Evidence) -> bool {
+    !evidence.basis.traces.is_empty() || evidence.basis.skew.is_some()
+}
+
 /// The decisions of one case used in the fit: with the whole catalogue, and without the true effect.
-fn examples(case: &Case, withheld: f64) -> Vec<(Features, Came, f64)> {
-    let Some(evidence) = &case.evidence else { return Vec::new() };
-    let blank = Calibration::blank();
-    let shows = is_expressed(&case.truth, &case.answer);
-    let come = |decision: &Decision, right: Option<&str>| {
-        let ahead = evidence.contenders.iter().any(|c| Some(c.id.as_str()) == right && c.lead > 0.0);
-        match case.truth.answer {
-            Right::Known if ahead && decision.best.as_deref() == right => Came::Right,
-            Right::None => Came::None,
-            _ if !shows => Came::None,
-            _ => Came::Other,
-        }
-    };
-    let mut out = Vec::new();
-    let mut add = |evidence: &Evidence, right: Option<&str>, weight: f64| {
-        let decision = decide(evidence, &blank);
-        if decision.by == By::Choice {
-            out.push((decision.features, come(&decision, right), weight));
-        }
+fn examples(case: &Case, withheld: f64) -> Vec<Example> {
+    let Some(evidence) = case.evidence.as_ref().filter(|e| !shows_itself(e)) else { return Vec::new() };
+    let hidden = (!is_expressed(&case.truth, &case.answer)).then_some(NONE);
+    let example = |evidence: &Evidence, right: &str, weight: f64| Example {
+        evidence: evidence.clone(),
+        right: iter::once(right).chain(hidden).map(str::to_owned).collect(),
+        weight,
     };
     let truth = case.truth.effect.as_str();
     match case.truth.answer {
-        Right::Pair => {}
-        Right::Known => {
-            add(evidence, Some(truth), 1.0);
-            add(&evidence.without(truth), None, withheld);
+        Right::Pair => {
+            let either = truth.split('+').chain([truth]);
+            vec![Example { right: either.map(str::to_owned).collect(), ..example(evidence, truth, 1.0) }]
         }
-        Right::None | Right::Foreign => add(evidence, None, 1.0),
+        Right::Known => vec![example(evidence, truth, 1.0), example(&evidence.without(truth), UNKNOWN, withheld)],
+        Right::None => vec![example(evidence, NONE, 1.0)],
+        Right::Foreign => vec![example(evidence, UNKNOWN, 1.0)],
     }
-    out
 }
 
-/// Fits the weights, then threshold and precision by cases left out; `None` without an example.
+/// Fits the numbers, and counts how often what a recording itself shows is right; `None` without an example.
 fn calibrated(args: &Args, cases: &[Case]) -> Option<Calibration> {
-    let folds = usize::from(args.folds);
-    let weights = |cases: &[Case]| {
-        let made: Vec<_> = cases.iter().flat_map(|case| examples(case, args.withheld)).collect();
-        (!made.is_empty()).then(|| fit(&made, args.ridge))
-    };
-    let inner: Vec<Calibration> = (0..folds)
-        .map(|part| Some(Calibration { weights: weights(&without(cases, part, folds))?, ..Calibration::blank() }))
-        .collect::<Option<_>>()?;
-    let steps = (LEAST_NAMED / STEP).round() as usize..(0.95 / STEP) as usize;
-    let tried: Vec<(f64, Tally)> = steps
-        .map(|step| step as f64 * STEP)
-        .map(|name_from| (name_from, Tally::of(cases, &inner, name_from)))
+    let made: Vec<Example> = cases.iter().flat_map(|case| examples(case, args.withheld)).collect();
+    let fitted = (!made.is_empty()).then(|| fit(&made, &Calibration::blank()))?;
+    let shown: Vec<bool> = cases
+        .iter()
+        .filter(|case| case.truth.answer != Right::Pair)
+        .filter_map(|case| Some((case, case.evidence.as_ref().filter(|e| shows_itself(e))?)))
+        .map(|(case, evidence)| decide(&[evidence], &fitted).cause.id == case.truth.effect)
         .collect();
-    let precise = tried.iter().filter(|(_, t)| t.named.share() >= args.precision);
-    let widest = precise.max_by_key(|(_, t)| t.covered);
-    let (name_from, tally) =
-        widest.or_else(|| tried.iter().max_by(|a, b| a.1.named.share().total_cmp(&b.1.named.share())))?;
-    Some(Calibration {
-        weights: weights(cases)?,
-        name_from: (name_from / STEP).round() * STEP,
-        trace: tally.trace.smoothed(),
-        by_mv: tally.by_mv.smoothed(),
-        second: tally.second.smoothed(),
-        coloured_noise: tally.coloured.smoothed(),
-        neighbour: Calibration::shipped().neighbour,
-        unknown: tally.unknown.smoothed(),
-        from: String::new(),
-        search: String::new(),
-    })
-}
-
-/// Number right of a total.
-#[derive(Debug, Clone, Copy, Default)]
-struct Count {
-    right: usize,
-    of: usize,
-}
-
-impl Count {
-    fn add(&mut self, right: bool) {
-        self.of += 1;
-        self.right += usize::from(right);
-    }
-
-    fn share(self) -> f64 {
-        self.right as f64 / self.of.max(1) as f64
-    }
-
-    /// The precision with one right and one wrong added (Laplace), to three digits.
-    fn smoothed(self) -> f64 {
-        ((self.right + 1) as f64 / (self.of + 2) as f64 * 1e3).round() / 1e3
-    }
-}
-
-/// Result of a threshold.
-#[derive(Debug, Clone, Copy, Default)]
-struct Tally {
-    named: Count,
-    trace: Count,
-    by_mv: Count,
-    /// Effects named in addition to recorder artefacts, over all cases.
-    second: Count,
-    coloured: Count,
-    unknown: Count,
-    /// Cases with an effect of the catalogue whose answer names one.
-    covered: usize,
-}
-
-impl Tally {
-    /// Each case by the calibration of the fold that left it out; those with two effects count only for the second.
-    fn of(cases: &[Case], parts: &[Calibration], name_from: f64) -> Self {
-        let mut tally = Self::default();
-        let rules: Vec<Calibration> = parts.iter().map(|c| Calibration { name_from, ..c.clone() }).collect();
-        for (index, case) in cases.iter().enumerate() {
-            let Some(evidence) = &case.evidence else { continue };
-            let decision = decide(evidence, &rules[index % rules.len()]);
-            if let (By::Trace, Some(second)) = (decision.by, &decision.second) {
-                tally.second.add(case.truth.effect.split('+').any(|part| part == second.id));
-            }
-            if case.truth.answer == Right::Pair {
-                continue;
-            }
-            let said = decision.cause.id.as_str();
-            let right = said == case.truth.effect || (said == UNKNOWN && case.truth.answer == Right::Foreign);
-            if said != NONE && said != UNKNOWN {
-                tally.named.add(right);
-                tally.covered += usize::from(case.truth.answer == Right::Known);
-            }
-            match decision.by {
-                By::Trace => tally.trace.add(right),
-                By::Mv => tally.by_mv.add(right),
-                By::Choice if said == "coloured_noise" => tally.coloured.add(right),
-                By::Choice if said == UNKNOWN => tally.unknown.add(right),
-                By::Choice => {}
-            }
-        }
-        tally
-    }
+    // One right and one wrong added (Laplace).
+    let share = (shown.iter().filter(|right| **right).count() + 1) as f64 / (shown.len() + 2) as f64;
+    Some(Calibration { trace: (share * DIGITS).round() / DIGITS, ..fitted })
 }
 
 /// All figures with each answer decided again by its calibration, or as answered if there is none.
@@ -318,10 +214,14 @@ fn again(case: &Case, rule: &Calibration) -> Answer {
     let called = |decision: &Decision, before: &Called| Called {
         id: decision.cause.id.clone(),
         probability: decision.cause.probability,
-        confirmed: if decision.cause.id == before.id { before.confirmed } else { holds_out(evidence, &decision.cause) },
+        confirmed: if decision.cause.id == before.id {
+            before.confirmed
+        } else {
+            holds_out(&[evidence], &decision.cause.id)
+        },
     };
     if let Some(document) = &mut answer.document {
-        let decision = decide(evidence, rule);
+        let decision = decide(&[evidence], rule);
         document.cause = called(&decision, &document.cause);
         decision.cause.stage.name().clone_into(&mut document.place.stage);
         let other = |a: &Answered| Alternative { id: a.id.clone(), probability: a.probability };

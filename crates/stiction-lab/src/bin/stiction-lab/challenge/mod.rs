@@ -63,7 +63,7 @@ enum Command {
     Withhold(withhold::Args),
     /// Check the truth's seal, open it, and print all figures.
     Score(ScoreArgs),
-    /// Fit the decision's probabilities and threshold to answered challenges of split A.
+    /// Fit the decision's numbers to answered challenges of split A.
     Calibrate(calibrate::Args),
     /// Test on real recordings: with effects inserted, with the valve position hidden, with stiction withheld.
     Real(real::Args),

@@ -84,10 +84,8 @@ fn diagnosis(valve: Vec<f64>, prediction: Vec<f64>) -> Case {
         parameters: 6,
         evaluations: 1,
         at_floor: false,
-        colour: 0.0,
         points: 0,
         one_step: [[0.0; 2]; 5],
-        with_op: 0.0,
         model,
     };
     Case {

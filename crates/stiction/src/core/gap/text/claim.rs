@@ -1,10 +1,10 @@
 //! How strongly an answer is put into words: one rule for all sentences, from the numbers beside them.
 
-use super::super::decide::LITTLE;
 use super::super::document::{EffectNote, GapDocument};
 use super::super::effects;
 use super::super::enough::STATED;
 use super::super::sizes::percent;
+use super::super::weigh::LITTLE;
 use crate::core::units::probability;
 
 /// Per cent closed from which an effect explains a gap.
