@@ -209,8 +209,12 @@ fn civil(text: &str) -> Option<Civil> {
         (format!("{a}{joint}{b}{joint}{c}"), named, rest)
     };
     let (clock_ns, rest) = behind_date(rest, date.split('-').any(|field| field.len() == 4))?;
+    // A form that cannot fit is not tried: a file has a million dates.
+    let year_first = date.split(['-', '.']).next().is_some_and(|first| first.len() == 4);
+    let fits = |form: &&str| form.contains("%b") == named && form.starts_with("%Y") == year_first;
     let reading = |forms: &str| {
-        let dates = forms.split('|').filter_map(|form| strtime::parse(form, &date).ok()?.to_date().ok());
+        let forms = forms.split('|').filter(fits);
+        let dates = forms.filter_map(|form| strtime::parse(form, &date).ok()?.to_date().ok());
         let midnight =
             dates.filter(|date| date.year() >= 1000).map(|date| date.to_datetime(Time::midnight())).next()?;
         local_ns(midnight)?.checked_add(clock_ns)
