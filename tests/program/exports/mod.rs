@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod cli;
+mod columnar;
 mod data;
 mod shapes;
 

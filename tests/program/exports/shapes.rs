@@ -1,5 +1,6 @@
 //! Shapes: exports as written by common systems, with the expected result for each.
 
+use super::columnar::columnar;
 use super::data::{Form, ROWS, XlsxCell, grouped, local, op, point, pv, t_s, utc, xlsx};
 
 /// The expected result for a shape.
@@ -22,7 +23,7 @@ pub struct Shape {
 }
 
 const BERLIN: &[&str] = &["--tz", "Europe/Berlin"];
-const UTC: &[&str] = &["--tz", "UTC"];
+pub const UTC: &[&str] = &["--tz", "UTC"];
 
 fn text(name: &'static str, file: &'static str, text: String, flags: &'static [&'static str], must: Must) -> Shape {
     Shape { name, files: vec![(file, text.into_bytes())], flags, must }
@@ -568,39 +569,6 @@ fn others() -> Vec<Shape> {
     ];
     all.extend(columnar());
     all
-}
-
-#[cfg(not(feature = "parquet"))]
-fn columnar() -> Vec<Shape> {
-    Vec::new()
-}
-
-#[cfg(feature = "parquet")]
-fn columnar() -> Vec<Shape> {
-    use std::sync::Arc;
-
-    use super::data::{arrow, parquet, wide};
-    use Must::{Ask, Read};
-    use arrow_array::{ArrayRef, Float64Array, RecordBatch, StringArray, TimestampMillisecondArray};
-
-    let (zoned, plain) = (wide(true), wide(false));
-    let tags: Vec<&str> = ["41FIC101.OP", "41FIC101.PV"].into_iter().cycle().take(2 * ROWS).collect();
-    let stamps =
-        TimestampMillisecondArray::from_iter_values((0..2 * ROWS).map(|k| t_s(k / 2) * 1000)).with_timezone("UTC");
-    let values = Float64Array::from_iter_values((0..2 * ROWS).map(|k| if k % 2 == 0 { op(k / 2) } else { pv(k / 2) }));
-    let long = RecordBatch::try_from_iter([
-        ("tag", Arc::new(StringArray::from(tags)) as ArrayRef),
-        ("timestamp", Arc::new(stamps) as ArrayRef),
-        ("value", Arc::new(values) as ArrayRef),
-    ])
-    .unwrap();
-    let shape = |name, file, bytes, flags, must| Shape { name, files: vec![(file, bytes)], flags, must };
-    vec![
-        shape("Parquet, wide, as pandas writes it", "x.parquet", parquet(&zoned), &[][..], Read("41FIC101")),
-        shape("Parquet, times without zone", "x.parquet", parquet(&plain), &[], Ask("--tz", UTC, "41FIC101")),
-        shape("Parquet, long", "x.parquet", parquet(&long), &[], Read("41FIC101")),
-        shape("Arrow IPC (Feather)", "x.feather", arrow(&zoned), &[], Read("41FIC101")),
-    ]
 }
 
 /// Every shape, in the order of the page.
