@@ -8,24 +8,23 @@ use stiction::core::gap::calibration::Calibration;
 use stiction::core::gap::{Evidence, GapError, GapOptions, Serial, answers, diagnose, effects};
 use stiction::core::record::Record;
 
-/// Least probability that a right answer counts with: of a loop whose search failed, no decision learns anything.
+/// Floor for the probability of a right answer, so that loops whose search failed do not dominate the fit.
 const LEAST: f64 = 1e-3;
-/// First step of every number as a share of it; how a step grows and shrinks; the share at which a fit ends, and the most rounds it
-/// takes.
+/// Pattern search: first step as a share of each number, growth and shrinkage of steps, step at which it ends, most rounds.
 const FIRST: f64 = 0.5;
 const GROWS: f64 = 1.3;
 const SHRINKS: f64 = 0.6;
 const LAST: f64 = 0.01;
 const ROUNDS: usize = 60;
-/// Least temperature: below, a likelihood would be surer than it says itself.
+/// Least temperature: below 1 the decision would be more certain than the likelihood.
 const COLDEST: f64 = 1.0;
-/// Digits after the point that a number keeps.
+/// Numbers are rounded to thousandths.
 const DIGITS: f64 = 1e3;
 
 /// A loop of known cause.
 #[derive(Debug, Clone)]
 pub struct Example {
-    /// What its decision is made from.
+    /// Stored scores of its fits.
     pub evidence: Evidence,
     /// Answers that are right.
     pub right: Vec<String>,
@@ -45,7 +44,7 @@ const NUMBERS: [fn(&mut Calibration) -> &mut f64; 8] = [
     |c| &mut c.beside,
 ];
 
-/// The same with the numbers under which the right answers are likeliest (a pattern search); none of those it begins with is 0.
+/// Maximises the likelihood of the right answers by a pattern search. No starting value may be 0, as steps are shares of it.
 #[must_use]
 pub fn fit(examples: &[Example], from: &Calibration) -> Calibration {
     let mut best = from.clone();
@@ -78,7 +77,7 @@ pub fn fit(examples: &[Example], from: &Calibration) -> Calibration {
     best
 }
 
-/// Shares are shares, and no likelihood is surer than it says itself.
+/// Keeps shares between 0 and 1, and the temperature at 1 or above.
 const fn bound(of: &mut Calibration) {
     of.memory = of.memory.clamp(0.0, 1.0);
     of.temperature = of.temperature.max(COLDEST);

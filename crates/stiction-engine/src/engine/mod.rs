@@ -163,7 +163,7 @@ pub struct Engine {
     free: BTreeSet<LoopId>,
     /// Memory of absent loops until they return; of forgotten ones only if the alarm is active.
     left: HashMap<Arc<str>, Checkpoint>,
-    /// Stands in for a forgotten loop, so that a stale handle finds an empty one.
+    /// Empty loop that a handle to a forgotten loop resolves to.
     nobody: Box<LoopState>,
 }
 

@@ -224,7 +224,7 @@ fn civil(text: &str) -> Option<Civil> {
     civil.readings.iter().any(Option::is_some).then_some(civil)
 }
 
-/// The time of day behind a date, ns, and what follows it. Half days stand before or behind it.
+/// Parses the time of day after a date, ns, and returns the rest. AM and PM, in any language, may come before or after it.
 fn behind_date(text: &str, long: bool) -> Option<(i64, &str)> {
     let (joint, rest) = take(text, |c| " \u{a0},_".contains(c));
     let tight = |text: &'_ str| text.starts_with(|c: char| c.is_ascii_digit());

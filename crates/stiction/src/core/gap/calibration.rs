@@ -4,32 +4,33 @@ use std::sync::OnceLock;
 
 use serde::{Deserialize, Serialize};
 
-/// What an answer needs and how sure it is. Odds are natural logarithms, against those of an effect that leaves white noise.
+/// Turns likelihoods into probabilities. Odds are log odds relative to an effect that leaves white noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
-    /// Odds of the base with the noise that PV's floor tells.
+    /// Odds that the base leaves white noise as large as PV's noise floor.
     pub none: f64,
-    /// Odds of the base with noise of its own: of first order it is coloured noise, else a cause that no catalogue has.
+    /// Odds that the base leaves any other noise. First-order noise is called coloured noise; any other means a cause outside
+    /// the catalogue.
     pub unknown: f64,
-    /// The same of an effect with such noise: something beside it.
+    /// Odds that an effect still leaves coloured noise, because something unknown acts too.
     pub beside: f64,
-    /// Share of what noise with a memory gains that counts for an effect.
+    /// Share of the likelihood gained by an autoregressive noise model that counts in favour of an effect.
     pub memory: f64,
     /// Odds against a second effect.
     pub pair: f64,
-    /// Odds against an effect that bends to nearly anything.
+    /// Odds against an effect flexible enough to fit nearly anything.
     pub bend: f64,
-    /// Nats that count as one where the base explains all.
+    /// Temperature of the softmax where the base explains the record, nats.
     pub temperature: f64,
-    /// Nats more for each nat that the best answer gains over the base.
+    /// Increase of the temperature for each nat that the best answer gains over the base.
     pub misfit: f64,
-    /// Share of right ones among calls made from what the recording itself shows.
+    /// Share of calls based on a recorder's trace that were right.
     pub trace: f64,
-    /// Among loads of other loops that the noise model has in both halves.
+    /// Share of calls of another loop, confirmed by both halves, that were right.
     pub acts: f64,
-    /// Where all this comes from.
+    /// The command, build and seed that produced the numbers.
     pub from: String,
-    /// The search whose answers it was fitted to, or checked on last, by the name that the lab gives it.
+    /// Hash of the search whose answers the numbers were fitted to or last checked on.
     pub search: String,
 }
 
@@ -41,7 +42,7 @@ impl Calibration {
         READ.get_or_init(|| serde_json::from_str(include_str!("calibration.json")).unwrap_or_else(|_| Self::blank()))
     }
 
-    /// One that nothing was fitted to: a fit begins here.
+    /// Starting values of a fit.
     #[must_use]
     pub const fn blank() -> Self {
         Self {

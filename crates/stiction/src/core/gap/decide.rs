@@ -1,21 +1,22 @@
 //! The decision: what is named, what else is possible, and what is left unnamed.
 //!
-//! Every answer is a model of the record with a noise: the base or an effect, with noise that is white or an autoregression. Each
-//! is as likely as PV is one step ahead at the fitted points, after what its numbers cost (Schwarz 1978): one mistimed slip is one
-//! wrong step there, where a free run would carry it on. Noise of an effect that has to be coloured speaks for a cause that no
-//! catalogue has. Held-out blocks have no say; they confirm what was chosen.
+//! Every answer combines a model (the base, or the base with an effect) with a noise model (white or autoregressive). Its score
+//! is the likelihood of one-step predictions of PV at the fitted points, less a penalty for its parameters (Schwarz 1978). One
+//! mistimed slip spoils one such prediction, but the whole rest of a free run. If an effect needs coloured noise, a cause
+//! outside the catalogue is likely. Held-out blocks take no part in the choice; they confirm it.
 
 use super::calibration::Calibration;
 use super::effects::{self, Way};
 use super::evidence::{Contender, Evidence};
 use super::types::{Alternative, Cause, EffectResult, NONE, Stage, UNKNOWN};
 use crate::core::signal::stats;
+use crate::core::verdict::rule::logistic;
 
-/// Probability from which an effect is named: of split A's seed 201 a half names no more of them rightly, and three more wrongly.
+/// Least probability for naming an effect. On seed 201 of split A, 0.5 named as many effects rightly and three more wrongly.
 const NAMED: f64 = 0.6;
-/// Least probability of an alternative that is told.
+/// Alternatives less likely than this are not listed.
 const TOLD: f64 = 0.005;
-/// Windows of several in which a recorder's trace must stand: one may have it by chance.
+/// Windows that must show a recorder's trace, if there are several: a single one may show it by chance.
 const WITH_TRACE: usize = 2;
 /// Error over the floor up to which a record is explained.
 pub(super) const EXPLAINED: f64 = 1.2;
@@ -110,12 +111,12 @@ pub fn answers(windows: &[&Evidence], calibration: &Calibration) -> Vec<Answer> 
         .map(|(id, scores)| (*id, of_effect(id, scores, calibration)))
         .collect();
     let higher = best(of_base[2..].iter().copied());
-    // The more there is to explain, the more a model that is right but for its numbers leaves of it.
+    // Even the right effect misses a share of what there is to explain, so differences count less where that is much.
     let most = best(effects.iter().map(|(_, gained)| *gained).chain([0.0, higher]));
     let nats = calibration.temperature + calibration.misfit * most;
-    // White noise is none of the base's own where it is larger than PV's floor: then it is unknown, too.
+    // White noise larger than PV's floor also has an unknown cause.
     let own_noise = higher.max(of_base[1]).max(0.0) / nats + calibration.unknown;
-    // One model stands behind noise of every order.
+    // Coloured noise and unknown share these odds; the order of the noise splits them.
     let is_asked = is_most(windows, |w| w.basis.coloured_noise);
     let first = if is_asked { logistic((of_base[1] - higher.max(0.0)) / calibration.temperature) } else { 0.0 };
     let beside = best(tried.iter().flat_map(|(_, scores)| scores[2..].iter().copied())) / nats + calibration.beside;
@@ -128,13 +129,9 @@ pub fn answers(windows: &[&Evidence], calibration: &Calibration) -> Vec<Answer> 
     softmax(&odds)
 }
 
-fn logistic(z: f64) -> f64 {
-    1.0 / (1.0 + libm::exp(-z))
-}
-
-/// Nats that an effect gains over the base: with white noise, and a share of what noise with a memory gains on top.
+/// Log likelihood that an effect gains over the base with white noise, plus a share of what autoregressive noise adds, nats.
 fn of_effect(id: &str, scores: &[f64; 5], calibration: &Calibration) -> f64 {
-    // A filter's noise has the filter's own memory.
+    // A sensor filter colours the noise itself.
     if effects::by_id(id).is_some_and(|e| e.way == Way::Filter) {
         return scores[1];
     }
@@ -142,13 +139,13 @@ fn of_effect(id: &str, scores: &[f64; 5], calibration: &Calibration) -> f64 {
     scores[0] + calibration.memory * memory.max(0.0)
 }
 
-/// Log odds that an effect has against it.
+/// Log odds against an effect before the record is seen.
 fn cost(id: &str, calibration: &Calibration) -> f64 {
     let costs = [(calibration.pair, is_pair(id)), (calibration.bend, bends(id))];
     costs.iter().filter(|(_, is)| *is).map(|(cost, _)| cost).sum()
 }
 
-/// Nats by which the base's white noise is less likely to be of PV's floor than of its own size.
+/// Log likelihood, nats, that white noise of the base loses if its size must be PV's noise floor; 0 or less.
 fn above_floor(windows: &[&Evidence]) -> f64 {
     let of = |w: &&Evidence| {
         let over = w.basis.base.over_floor.unwrap_or(1.0).max(1.0);
@@ -177,7 +174,7 @@ fn is_pair(id: &str) -> bool {
     effects::parts(id).nth(1).is_some()
 }
 
-/// Whether an effect, or one of two, bends to nearly anything.
+/// Whether an effect, or one of two, can fit nearly anything.
 fn bends(id: &str) -> bool {
     effects::parts(id).any(|part| effects::by_id(part).is_some_and(|e| e.bends))
 }
@@ -190,7 +187,7 @@ fn ids<'e>(windows: &[&'e Evidence]) -> Vec<&'e str> {
     all
 }
 
-/// Scores by the order of the noise, summed over the windows; one in which an effect was not tried tells nothing for it.
+/// Scores by the order of the noise, summed over the windows. A window in which the effect was not tried counts as the base.
 fn summed<'e>(windows: &[&'e Evidence], of: impl Fn(&'e Evidence) -> Option<&'e Contender>) -> [f64; 5] {
     let each = windows.iter().map(|w| of(w).map_or(&w.basis.base, |c| &c.left).scores());
     each.fold([0.0; 5], |sum, own| core::array::from_fn(|order| sum[order] + own[order]))

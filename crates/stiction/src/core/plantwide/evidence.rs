@@ -27,7 +27,7 @@ const POINTS_A_PERIOD: f64 = 50.0;
 const RIDGE: f64 = 1e-9;
 /// Upper limits of a fit's indicators.
 const LARGEST: [f64; 2] = [8.0, 5.0];
-/// Probability assumed for a loop without a verdict of its own.
+/// Probability of stiction assumed for a loop that was not judged.
 const UNKNOWN: f64 = 0.2;
 
 /// The signals of a member, on the plant's time.

@@ -7,7 +7,7 @@ use crate::core::ident::kinetic_band::{Freedom, best_band};
 pub(super) const PARTS: usize = 3;
 /// Pairs of columns: 00 01 11 02 12 22.
 pub(super) const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)];
-/// Share of its own square below which a column depends on earlier ones.
+/// A column counts as linearly dependent if less than this share of its sum of squares is orthogonal to earlier columns.
 pub(super) const DEPENDENT: f64 = 1e-9;
 /// Refinements of the dead time within a sample after the first three values.
 const REFINEMENTS: usize = 4;

@@ -94,7 +94,7 @@ impl View {
         Self { rho, from, points, counted, products: products(&columns), columns, moments, lattice: empty_lattice() }
     }
 
-    /// The same view of PV with these loads (of equal length) instead of its own; both share the tables of PV.
+    /// A view of the same PV with other loads, each as long as PV. Shares PV's tables, which are costly to build.
     #[must_use]
     pub(crate) fn beside(&self, loads: &[&[f64]]) -> Self {
         let column = |x: &&[f64]| Arc::new(Column::new(x, self.rho, self.from, &self.counted));
