@@ -6,8 +6,8 @@ use crate::StictionError;
 use crate::columns::{Handed, enough};
 use crate::options::{Fit, Look, config};
 use crate::supervise::supervised;
-use stiction::core::repair::{RepairParams, repair as simulated};
 use stiction::core::verdict::{AssessParams, assess};
+use stiction::repair::{RepairParams, repair as simulated};
 use stiction_engine::analysis::Points;
 
 /// Benefit of a repair; JSON.

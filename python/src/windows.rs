@@ -10,8 +10,8 @@ use crate::columns::Handed;
 use crate::options::{config, stamp};
 use crate::supervise::{Watch, on_threads, supervised, threads};
 use crate::{StictionError, refused};
-use stiction::core::over_time::WindowResult;
 use stiction::core::verdict::EstimateDocument;
+use stiction::over_time::WindowResult;
 use stiction_engine::analysis::estimate::span_of;
 use stiction_engine::analysis::{Answer, Due, Section, Taken};
 use stiction_engine::config::Config;
@@ -120,6 +120,6 @@ fn one(name: &str, hash: &str, request: &Request, notes: &[String]) -> Result<To
 #[pyfunction]
 pub fn over_time(py: Python<'_>, windows: &str) -> PyResult<String> {
     let windows: Vec<WindowResult> = serde_json::from_str(windows).map_err(|e| refused("windows", e))?;
-    let found = supervised(py, None, move |_| stiction::core::over_time::over_time(&windows))?;
+    let found = supervised(py, None, move |_| stiction::over_time::over_time(&windows))?;
     serde_json::to_string(&found).map_err(|e| StictionError::new_err(e.to_string()))
 }

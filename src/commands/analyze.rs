@@ -16,9 +16,9 @@ use crate::commands::fleet::{MANY, Summary};
 use crate::commands::plant::groups_text;
 use crate::commands::solving::{self, SolverArgs};
 use crate::report::maker::Analysed;
-use stiction::core::plantwide::GroupDocument;
 use stiction::core::record::Record;
 use stiction::core::verdict::{DelayChoice, ModelChoice, ValveChoice};
+use stiction::plantwide::GroupDocument;
 use stiction_engine::alarm::LoopContext;
 use stiction_engine::analysis::plant::{OfPlant, judge_together};
 use stiction_engine::analysis::{

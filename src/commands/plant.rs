@@ -1,6 +1,6 @@
 //! `analyze --plant`: the groups of loops that share an oscillation, as text.
 
-use stiction::core::plantwide::{GroupDocument, text};
+use stiction::plantwide::{GroupDocument, text};
 
 /// All groups, and the number of loops in none of them.
 pub(super) fn groups_text(groups: &[GroupDocument], loops: usize) -> String {

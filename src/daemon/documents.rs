@@ -10,8 +10,8 @@ use serde_json::{Value, json};
 use crate::runtime::data_health::DataHealthDocument;
 use crate::runtime::health::{DaemonHealth, LoopHealth};
 use stiction::core::gap::document::{GAP_SCHEMA, GapDocument};
-use stiction::core::plantwide::{GROUP_SCHEMA, GroupDocument};
 use stiction::core::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
+use stiction::plantwide::{GROUP_SCHEMA, GroupDocument};
 use stiction_engine::alarm::{ALARM_SCHEMA, AlarmDocument};
 use stiction_engine::codec::topic::{DAEMON_HEALTH_SCHEMA, DATA_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 

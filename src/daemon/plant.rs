@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender};
 
 use super::gaps::yield_to_all;
-use stiction::core::plantwide::GroupDocument;
+use stiction::plantwide::GroupDocument;
 use stiction_engine::engine::{Comparison, Misplaced};
 
 /// Result of a comparison.

@@ -4,9 +4,9 @@ use super::detail::Detail;
 use super::diagram::Tags;
 use super::{IN_FULL, LoopReport, Report};
 use crate::runtime::cores::{Watch, in_order};
-use stiction::core::plantwide::GroupDocument;
 use stiction::core::record::Record;
 use stiction::core::verdict::{AssessParams, EstimateDocument};
+use stiction::plantwide::GroupDocument;
 use stiction_files::About;
 
 /// One loop's or section's part of a report.

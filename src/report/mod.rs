@@ -26,9 +26,9 @@ pub use sheet::sheet;
 
 use detail::Detail;
 use diagram::Tags;
-use stiction::core::plantwide::GroupDocument;
 use stiction::core::record::Record;
 use stiction::core::verdict::{Assessment, EstimateDocument};
+use stiction::plantwide::GroupDocument;
 
 /// Loops drawn in full by default.
 pub const IN_FULL: usize = 12;

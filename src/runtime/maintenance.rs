@@ -6,11 +6,11 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use stiction::core::repair::Repair;
 use stiction::core::units::{ms_from_ns, probability};
 use stiction::core::verdict::action::{Action, Confirm, what_to_do};
 use stiction::core::verdict::words::capital;
 use stiction::core::verdict::{Assessment, answer, words};
+use stiction::repair::Repair;
 use stiction_engine::alarm::Priority;
 
 use super::overview::Candidate;

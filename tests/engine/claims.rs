@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::sync::Arc;
 
-use stiction::core::over_time::{WindowResult, over_time};
 use stiction::core::record::Record;
 use stiction::core::units::FinalElement;
 use stiction::core::verdict::action::what_to_do;
@@ -15,6 +14,7 @@ use stiction::core::verdict::{
     AssessParams, Assessment, CountedBy, EstimateDocument, Oscillation, SCREENED, Verdict, Window, assess,
     for_prevalence, words,
 };
+use stiction::over_time::{WindowResult, over_time};
 use stiction_engine::alarm::{Alarm, AlarmParams};
 use stiction_engine::status::{Known, LoopStatus};
 use stictiond::runtime::maintenance::rank;

@@ -1,11 +1,11 @@
 //! A group's result for a loop: the estimate names what drives the loop, and the alarm waits for the source's.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction::core::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
 use stiction::core::record::{Sample, Signal, Value};
 use stiction::core::units::Moment;
 use stiction::core::verdict::rule::{Cuts, Opinion};
 use stiction::core::verdict::{Assessment, CountedBy, EstimateDocument, MemberJudgement, Oscillation, Verdict, Window};
+use stiction::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
 use stiction_engine::alarm::Command;
 use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, Event, GroupStanding, LoopId};

@@ -7,13 +7,13 @@ use crate::calibrate::regress;
 use crate::plants::{CaseLoop, Difficulty, Role, plant, stretched};
 use crate::truth::Half;
 use crate::truth::draw::Draw;
-use stiction::core::plantwide::{
-    Calibration, Chance, GroupDocument, Logit, Made, PairFigures, PlantLoop, SourceKind, assess_plant_by, frequency_hz,
-    group_figures, member_figures, pair_figures, source_figures,
-};
 use stiction::core::units::ns_from_s;
 use stiction::core::verdict::prevalence::CALIBRATED_FOR;
 use stiction::core::verdict::{AssessParams, Assessment, assess};
+use stiction::plantwide::{
+    Calibration, Chance, GroupDocument, Logit, Made, PairFigures, PlantLoop, SourceKind, assess_plant_by, frequency_hz,
+    group_figures, member_figures, pair_figures, source_figures,
+};
 
 /// Settings of the fits.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -134,9 +134,16 @@
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
-/// The science behind the items below, for the programs of this repository: its items change without notice.
+// The science behind the items below, for the programs of this repository: its items change without notice. `core` judges one
+// loop; it uses nothing of what lies beside it.
 #[doc(hidden)]
 pub mod core;
+#[doc(hidden)]
+pub mod over_time;
+#[doc(hidden)]
+pub mod plantwide;
+#[doc(hidden)]
+pub mod repair;
 
 pub use crate::core::VERSION;
 pub use crate::core::record::Record;
@@ -154,11 +161,11 @@ pub use crate::core::ident::{DelayChoice, Estimate, ModelChoice, NoFit, Options,
 pub use crate::core::sim::slips::Law;
 
 // One valve over time, one plant, one repair.
-pub use crate::core::over_time::{Change, ChangeKind, Contradicting, OverTime, Pooled, Trend, WindowResult, over_time};
-pub use crate::core::plantwide::{
+pub use crate::over_time::{Change, ChangeKind, Contradicting, OverTime, Pooled, Trend, WindowResult, over_time};
+pub use crate::plantwide::{
     Follower, GroupDocument, MemberJudgement, PlantLoop, Source, SourceKind, assess_plant, text as group_report,
 };
-pub use crate::core::repair::{Case, Figure, NoRepair, Repair, RepairParams, repair};
+pub use crate::repair::{Case, Figure, NoRepair, Repair, RepairParams, repair};
 
 // The gap between model and plant.
 pub use crate::core::gap::document::{CauseNote, EffectNote, GapDocument};

@@ -8,7 +8,7 @@ use super::{EngineThread, to_json};
 use crate::daemon::plant::{Compared, Comparer};
 use crate::daemon::sink::recorder::Item;
 use crate::daemon::sink::zenoh::Publication;
-use stiction::core::plantwide::GroupDocument;
+use stiction::plantwide::GroupDocument;
 use stiction_engine::codec::topic::{self, Kind, PLANT};
 use stiction_engine::engine::{Comparison, GroupStanding, LoopId, LoopWindow, PlantWatch, RecordedInput};
 

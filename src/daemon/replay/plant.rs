@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 
 use crate::daemon::replay::{Output, PlantEvent};
 use crate::daemon::to_json;
-use stiction::core::plantwide::GroupDocument;
+use stiction::plantwide::GroupDocument;
 use stiction_engine::codec::topic::{Kind, PLANT};
 use stiction_engine::engine::{Comparison, PlantWatch, RecordedInput};
 

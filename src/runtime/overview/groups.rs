@@ -7,8 +7,8 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::Overview;
-use stiction::core::plantwide::{GroupDocument, SourceKind};
 use stiction::core::units::ms_from_ns;
+use stiction::plantwide::{GroupDocument, SourceKind};
 
 /// Comparisons of a group whose members are kept.
 const COMPARISONS_KEPT: usize = 200;

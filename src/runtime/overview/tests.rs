@@ -1,9 +1,9 @@
 //! The changes that readers get, silence, and the newest windows.
 
 use super::*;
-use stiction::core::plantwide::GroupDocument;
 use stiction::core::record::Record;
 use stiction::core::verdict::{AssessParams, assess};
+use stiction::plantwide::GroupDocument;
 use stiction_engine::alarm::Alarm;
 use stiction_lab::truth::fixture::group::driven_group;
 

@@ -8,8 +8,8 @@ use serde::Serialize;
 use super::past::{FROM, Range, TO, windows};
 use super::{Answered, Operation, ResponseKind, Shared, of};
 use crate::web::extract::{PathName, QueryParams};
-use stiction::core::over_time::{Change, ChangeKind, Contradicting, Pooled, Trend, WindowResult, over_time};
 use stiction::core::units::ms_from_ns;
+use stiction::over_time::{Change, ChangeKind, Contradicting, Pooled, Trend, WindowResult, over_time};
 use stiction_files::archive::Reach;
 
 /// A valve over time; all times in ms since 1970.

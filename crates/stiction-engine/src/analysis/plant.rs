@@ -4,8 +4,8 @@ use std::collections::HashSet;
 
 use super::{AnalysisError, Answer};
 use crate::alarm::LoopContext;
-use stiction::core::plantwide::{GroupDocument, PlantLoop, assess_plant};
 use stiction::core::record::Record;
+use stiction::plantwide::{GroupDocument, PlantLoop, assess_plant};
 
 /// One loop of a plant.
 #[derive(Debug)]

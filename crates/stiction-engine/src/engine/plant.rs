@@ -15,10 +15,10 @@ use super::misplaced::{Misplaced, misplaced};
 use super::{LoopSettings, neighbours};
 use crate::alarm::LoopContext;
 use crate::hash::short_hash;
-use stiction::core::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
 use stiction::core::record::Record;
 use stiction::core::units::ns_from_s;
 use stiction::core::verdict::{Assessment, MemberJudgement, for_prevalence};
+use stiction::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
 
 /// Hops after which the window of a silent loop is no longer compared.
 const KEPT_HOPS: f64 = 3.0;

@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use super::{Difficulty, plant, stretched};
 use crate::truth::draw::Draw;
-use stiction::core::plantwide::{PlantLoop, frequency_hz};
 use stiction::core::record::Record;
 use stiction::core::signal::stats::span;
 use stiction::core::verdict::{Assessment, Oscillation, Window};
+use stiction::plantwide::{PlantLoop, frequency_hz};
 
 /// Number of plants drawn of either difficulty.
 const PLANTS: u64 = 12;

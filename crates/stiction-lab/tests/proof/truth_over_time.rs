@@ -2,7 +2,6 @@
 //! of docs/plant.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stiction::core::over_time::{ChangeKind, OverTime, WindowResult, over_time};
 use stiction::core::record::Record;
 use stiction::core::sim::closed_loop::{Stem, ValveLaw, ValveModel};
 use stiction::core::sim::controller::{Action, Pid, PidSettings};
@@ -10,6 +9,7 @@ use stiction::core::sim::noise::{Ar1, Noise, stream_of};
 use stiction::core::sim::process::{ProcessModel, ProcessState};
 use stiction::core::units::NS_PER_S;
 use stiction::core::verdict::{AssessParams, assess};
+use stiction::over_time::{ChangeKind, OverTime, WindowResult, over_time};
 
 const HOUR_NS: i64 = 3_600_000_000_000;
 const START_NS: i64 = 1_767_225_600_000_000_000;

@@ -2,8 +2,8 @@
 //! answer.
 
 use crate::cases;
-use stiction::core::plantwide::{Calibration, GroupDocument, PlantLoop, SourceKind, assess_plant, pair_figures};
 use stiction::core::verdict::{AssessParams, assess};
+use stiction::plantwide::{Calibration, GroupDocument, PlantLoop, SourceKind, assess_plant, pair_figures};
 use stiction_lab::plants::{Difficulty, Role, plant};
 
 /// Seeds that no rule was fitted to and no table reports.

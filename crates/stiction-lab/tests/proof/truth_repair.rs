@@ -4,13 +4,13 @@
 
 use crate::cases;
 use stiction::core::record::Record;
-use stiction::core::repair::{Figure, NoRepair, Repair, RepairParams, repair};
 use stiction::core::signal::stats;
 use stiction::core::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stiction::core::sim::controller::{Action, PidSettings};
 use stiction::core::sim::disturbance::Disturbance;
 use stiction::core::sim::process::ProcessModel;
 use stiction::core::verdict::{AssessParams, assess};
+use stiction::repair::{Figure, NoRepair, Repair, RepairParams, repair};
 use stiction_lab::truth::fixture::Draw;
 
 const SAMPLES: usize = 1_200;

@@ -3,6 +3,8 @@
 //!
 //! Programs outside this repository use what the crate lists at its root. Items here change without notice.
 //!
+//! The core judges one loop, by one record. What judges many windows or loops, or shows an answer, lies beside it and uses it.
+//!
 //! # Modules
 //! A module imports only modules from the rows above it.
 //!
@@ -13,7 +15,6 @@
 //! | physics | [`sim`] valve models, processes, controller, noise, closed loop: the only copy of each formula |
 //! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
 //! | judgement | [`verdict`] validity checks, verdict, the estimate's document · [`gap`] model-plant mismatch |
-//! | evaluation | [`over_time`] many windows of one valve · [`plantwide`] loops that share an oscillation · [`repair`] the closed loop without stiction |
 //!
 //! # Determinism
 //! No file, socket, clock, thread, environment or unseeded random numbers: the same record gives bit-identical results on
@@ -24,11 +25,8 @@ pub mod gap;
 pub mod guard;
 pub mod ident;
 pub mod optim;
-pub mod over_time;
 pub mod people;
-pub mod plantwide;
 pub mod record;
-pub mod repair;
 pub mod signal;
 pub mod sim;
 pub mod units;

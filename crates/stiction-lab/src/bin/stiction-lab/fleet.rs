@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use stiction::core::plantwide::{PlantLoop, assess_plant};
+use stiction::plantwide::{PlantLoop, assess_plant};
 use stiction_lab::plants::{FleetLoop, fleet};
 use stictiond::cli::{Format, Outcome, cpu, say};
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::Context;
 use serde_json::json;
 
-use stiction::core::plantwide::Calibration;
+use stiction::plantwide::Calibration;
 use stiction_lab::calibrate_plants::{APART, Count, Judged, Score, Settings, calibrate, score};
 use stiction_lab::plants::Difficulty;
 use stiction_lab::truth::Half;
