@@ -7,8 +7,8 @@ use crate::columns::{bytes_of, stamps_of};
 use crate::refused;
 use crate::supervise::supervised;
 use stiction::core::record::Record;
-use stiction::core::sim::scenario::Scenario;
 use stiction::core::units::ns_from_s;
+use stiction::simulated::scenario::Scenario;
 
 /// A loop: name, truth, sampling time (s), and the columns t (ns), op, pv, sp, mv.
 type Loop<'py> = (String, String, f64, [Bound<'py, PyBytes>; 5]);
@@ -20,7 +20,7 @@ pub fn simulate<'py>(py: Python<'py>, scenario: &str, json: bool) -> PyResult<Ve
     let scenario = Scenario::parse(&text).map_err(|e| refused("scenario", e))?;
     let work = move |_: &_| {
         let loops = scenario.loops.iter().enumerate();
-        let ran = |(at, spec): (usize, &stiction::core::sim::scenario::LoopSpec)| {
+        let ran = |(at, spec): (usize, &stiction::simulated::scenario::LoopSpec)| {
             scenario.record(at).map(|record| (spec.name.clone(), spec.truth(), record))
         };
         loops.filter_map(ran).collect::<Vec<_>>()

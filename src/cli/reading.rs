@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow};
 use crate::cli::{note, on_all_cores};
 use crate::daemon::ConfigFile;
 use stiction::core::gap::model_file::ModelFile;
-use stiction::core::sim::scenario::Scenario;
+use stiction::simulated::scenario::Scenario;
 use stiction_engine::config::Config;
 use stiction_files::export::{Codes, Decimal, Map, TimeFormat, Zone, delimiter, encoding};
 use stiction_files::inputs::{Unit, units};

@@ -16,7 +16,7 @@ use stiction::core::gap::in_loop::Parts;
 use stiction::core::gap::loop_run::parts;
 use stiction::core::record::Record;
 use stiction::core::sim::closed_loop::ValveLaw;
-use stiction::core::sim::scenario::{ProcessSpec, Scenario};
+use stiction::simulated::scenario::{ProcessSpec, Scenario};
 use stiction_engine::codec::topic::{self, Kind};
 use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, Event, RecordedInput, SkipReason};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use stiction::core::sim::scenario::Scenario;
+use stiction::simulated::scenario::Scenario;
 use stiction_engine::codec::encode_recorded;
 use stiction_engine::codec::topic::{self, Kind};
 use stiction_engine::config::Config;

@@ -9,8 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use stiction::core::record::{Mode, Sample, Signal, Value};
 use stiction::core::signal::align::align_all;
-use stiction::core::sim::scenario::Scenario;
 use stiction::core::verdict::{Verdict, assess};
+use stiction::simulated::scenario::Scenario;
 use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, Event, Request, SkipReason, section};
 

@@ -311,7 +311,7 @@ fn scenarios_models_labels_and_options() {
     let scenarios =
         ["sticking", "four-loops", "awkward"].map(|n| fs::read(format!("recordings/scenarios/{n}.toml")).unwrap());
     fuzz("scenarios", 1000, &scenarios, |bytes| {
-        if let Err(error) = stiction::core::sim::scenario::Scenario::parse(&String::from_utf8_lossy(bytes)) {
+        if let Err(error) = stiction::simulated::scenario::Scenario::parse(&String::from_utf8_lossy(bytes)) {
             assert!(!error.to_string().is_empty());
         }
     });

@@ -6,9 +6,9 @@ use std::fs;
 use std::path::Path;
 
 use stiction::core::record::Record;
-use stiction::core::sim::scenario::Scenario;
 use stiction::core::units::{ns_from_s, s_from_ns};
 use stiction::core::verdict::{AssessParams, Assessment, Gate, assess};
+use stiction::simulated::scenario::Scenario;
 use stiction_engine::analysis::Points;
 use stiction_engine::config::Config;
 use stiction_files::load_samples;

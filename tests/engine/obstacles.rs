@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use stiction::core::record::{Mode, Sample, Signal, Value};
-use stiction::core::sim::scenario::Scenario;
 use stiction::core::units::s_from_ns;
+use stiction::simulated::scenario::Scenario;
 use stiction_engine::alarm::LoopContext;
 use stiction_engine::config::Config;
 use stiction_engine::engine::{Engine, Event, PlantWatch};

@@ -144,6 +144,8 @@ pub mod over_time;
 pub mod plantwide;
 #[doc(hidden)]
 pub mod repair;
+#[doc(hidden)]
+pub mod simulated;
 
 pub use crate::core::VERSION;
 pub use crate::core::record::Record;

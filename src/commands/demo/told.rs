@@ -6,10 +6,10 @@ use serde::Deserialize;
 use serde_json::Value as Json;
 
 use crate::cli::{Format, say};
-use stiction::core::sim::scenario::{Label, LoopSpec, Scenario};
 use stiction::core::units::{duration, format_rfc3339, number};
 use stiction::core::verdict::Verdict;
 use stiction::core::verdict::answer::settled;
+use stiction::simulated::scenario::{Label, LoopSpec, Scenario};
 use stiction_engine::codec::topic::{self, Kind};
 use stiction_engine::config::Config;
 

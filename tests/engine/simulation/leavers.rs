@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use stiction::core::record::Sample;
-use stiction::core::sim::scenario::Scenario;
+use stiction::simulated::scenario::Scenario;
 use stiction_engine::alarm::{AlarmAction, Command, State};
 use stiction_engine::codec::encode_recorded;
 use stiction_engine::config::Config;

@@ -7,8 +7,8 @@ use stiction::core::record::Record;
 use stiction::core::sim::closed_loop::{LoopModel, ValveLaw, ValveModel};
 use stiction::core::sim::disturbance::Disturbance;
 use stiction::core::sim::process::ProcessModel;
-use stiction::core::sim::scenario::Scenario;
 use stiction::core::verdict::{AssessParams, Verdict, assess};
+use stiction::simulated::scenario::Scenario;
 use stiction_lab::truth::fixture::healthy::{healthy, plain, settled, shaken, ultimate};
 
 /// Verdicts over seeds for one loop of a plant.

@@ -17,8 +17,8 @@ use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
 use stiction::core::record::{Sample, Signal, Value};
-use stiction::core::sim::scenario::Scenario;
 use stiction::core::units::NS_PER_S;
+use stiction::simulated::scenario::Scenario;
 use stiction_engine::codec;
 use stiction_engine::codec::topic;
 use stiction_engine::config::Config;

@@ -25,14 +25,14 @@
 use serde::Deserialize;
 use thiserror::Error;
 
-use super::actuator::Actuator;
-use super::closed_loop::{LoopModel, ValveLaw, ValveModel};
-use super::controller::{Action, PidSettings};
-use super::disturbance::Disturbance;
-use super::friction::{Friction, FrictionSpec};
-use super::process::ProcessModel;
-use super::slips::Stroke;
 use crate::core::record::Signal;
+use crate::core::sim::actuator::Actuator;
+use crate::core::sim::closed_loop::{LoopModel, ValveLaw, ValveModel};
+use crate::core::sim::controller::{Action, PidSettings};
+use crate::core::sim::disturbance::Disturbance;
+use crate::core::sim::friction::{Friction, FrictionSpec};
+use crate::core::sim::process::ProcessModel;
+use crate::core::sim::slips::Stroke;
 use crate::core::units::{format_rfc3339, ns_from_s, number, parse_time};
 
 /// Why a text is not a valid scenario.

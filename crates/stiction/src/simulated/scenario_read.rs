@@ -6,9 +6,9 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 use toml::Spanned;
 
-use super::closed_loop::ValveLaw;
 use super::scenario::{LoopSpec, RecordingSpec, Scenario, ScenarioError, Setpoint};
 use super::scenario_shape::shape_faults;
+use crate::core::sim::closed_loop::ValveLaw;
 use crate::core::units::{is_loop_name, parse_time};
 
 /// Most scans of a scenario: one per second for three years.
@@ -245,7 +245,7 @@ fn check_recording(recording: &RecordingSpec, report: &mut Report<'_>) {
 
 #[cfg(test)]
 mod tests {
-    use crate::core::sim::scenario::{Scenario, ScenarioError};
+    use crate::simulated::scenario::{Scenario, ScenarioError};
 
     const GOOD: &str = r#"
 [site]

@@ -2,10 +2,10 @@
 
 use std::collections::VecDeque;
 
-use super::closed_loop::{ClosedLoop, Scan};
-use super::noise::{Noise, quantise, stream_of};
 use super::scenario::{LoopSpec, Scenario};
 use crate::core::record::{Mode, Record, Sample, Signal, Value};
+use crate::core::sim::closed_loop::{ClosedLoop, Scan};
+use crate::core::sim::noise::{Noise, quantise, stream_of};
 use crate::core::units::ns_from_s;
 
 /// Random streams in addition to the simulated loop's own.
@@ -256,10 +256,10 @@ mod tests {
     use super::*;
 
     const SCENARIOS: [(&str, &str); 4] = [
-        ("demo", include_str!("../../../../../recordings/scenarios/demo.toml")),
-        ("sticking", include_str!("../../../../../recordings/scenarios/sticking.toml")),
-        ("four-loops", include_str!("../../../../../recordings/scenarios/four-loops.toml")),
-        ("awkward", include_str!("../../../../../recordings/scenarios/awkward.toml")),
+        ("demo", include_str!("../../../../recordings/scenarios/demo.toml")),
+        ("sticking", include_str!("../../../../recordings/scenarios/sticking.toml")),
+        ("four-loops", include_str!("../../../../recordings/scenarios/four-loops.toml")),
+        ("awkward", include_str!("../../../../recordings/scenarios/awkward.toml")),
     ];
 
     fn scenario(name: &str) -> Scenario {
