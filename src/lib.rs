@@ -21,8 +21,8 @@
 //!
 //! # The path of a sample
 //! `daemon::source::zenoh` (callback, bounded queue) → `daemon::engine_thread` (router, limits, recorder) →
-//! [`stiction_engine::engine::Engine::push`] → [`stiction::core::signal::align`] (joined by source time) →
-//! [`stiction::core::signal::history`] (bounded memory) → a due window → `daemon::schedule` (in turn) → `daemon::worker` →
+//! [`stiction_engine::engine::Engine::push`] → [`stiction::samples::align`] (joined by source time) →
+//! [`stiction::samples::history`] (bounded memory) → a due window → `daemon::schedule` (in turn) → `daemon::worker` →
 //! [`stiction::core::verdict::assess`] → [`stiction_engine::alarm`] → `sink::zenoh`, `sink::recorder` and `sink::state_writer`.
 
 pub mod cli;

@@ -12,7 +12,7 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::Registry;
 
 use super::series::LoopSeries;
-use stiction::core::signal::align::AlignCounts;
+use stiction::samples::align::AlignCounts;
 
 /// One label.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]

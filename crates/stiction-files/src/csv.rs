@@ -8,8 +8,8 @@
 use std::collections::HashMap;
 use std::io::{self, Write};
 use stiction::core::record::{Sample, Signal, Value};
-use stiction::core::signal::align::Quality;
 use stiction::core::units::format_seconds;
+use stiction::samples::align::Quality;
 
 use super::LoadedLoop;
 

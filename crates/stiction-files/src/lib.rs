@@ -40,7 +40,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use stiction::core::record::{Sample, Signal, Value};
-use stiction::core::signal::align::Quality;
+use stiction::samples::align::Quality;
 use stiction_engine::codec;
 use stiction_engine::codec::topic::{Leaf, Topic};
 use thiserror::Error;

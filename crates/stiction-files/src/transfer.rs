@@ -68,7 +68,7 @@ mod tests {
     use crate::{csv, load_samples};
     use proptest::prelude::*;
     use stiction::core::record::{Mode, Record, Sample, Signal, Value};
-    use stiction::core::signal::align::Quality;
+    use stiction::samples::align::Quality;
     use stiction_engine::analysis::Points;
 
     #[test]

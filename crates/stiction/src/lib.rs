@@ -145,6 +145,8 @@ pub mod plantwide;
 #[doc(hidden)]
 pub mod repair;
 #[doc(hidden)]
+pub mod samples;
+#[doc(hidden)]
 pub mod simulated;
 
 pub use crate::core::VERSION;
@@ -197,8 +199,8 @@ pub use crate::core::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Neig
 /// ```
 pub mod record {
     pub use crate::core::record::{Mode, Sample, Signal, Value};
-    pub use crate::core::signal::align::{AlignParams, Point, Quality, align_all};
-    pub use crate::core::signal::history::record_of;
+    pub use crate::samples::align::{AlignParams, Point, Quality, align_all};
+    pub use crate::samples::history::record_of;
 }
 
 /// Lets your own solver search the error surface for the bands, next to the built-in solvers.

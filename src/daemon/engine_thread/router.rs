@@ -11,8 +11,8 @@ use crate::daemon::sink::recorder::Item;
 use crate::daemon::source::Message;
 use crate::runtime::metrics::Label;
 use stiction::core::record::{Sample, Signal};
-use stiction::core::signal::align::Quality;
 use stiction::core::units::s_from_ns;
+use stiction::samples::align::Quality;
 use stiction_engine::codec::{self, Bundle, CodecError, ConfiguredCodec};
 use stiction_engine::engine::LoopId;
 

@@ -187,8 +187,7 @@ async fn trend(
             let signals = [Signal::Op, Signal::Pv, Signal::Sp];
             let (one, reach) = recorded_within(&archive, &name, &signals, [from_ns, to_ns]);
             let joined = Points::of(&name, &one.samples, &config).samples(Section::Whole).unwrap_or_default();
-            let column =
-                |of: fn(&stiction::core::signal::align::Point) -> f64| joined.iter().map(of).collect::<Vec<f64>>();
+            let column = |of: fn(&stiction::samples::align::Point) -> f64| joined.iter().map(of).collect::<Vec<f64>>();
             let (op, pv, sp) = (column(|p| p.op), column(|p| p.pv), column(|p| p.sp.unwrap_or(f64::NAN)));
             let places = thin(&[&op, &pv, &sp], points);
             let shown = |values: &[f64]| places.iter().map(|k| Some(values[*k]).filter(|v| v.is_finite())).collect();

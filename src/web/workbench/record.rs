@@ -7,7 +7,7 @@ use super::fault::Fault;
 use super::sampling::sampling_time_s;
 use super::shelf::Shelf;
 use crate::web::thin::thin;
-use stiction::core::signal::align::Point;
+use stiction::samples::align::Point;
 use stiction_engine::analysis::{Points, Section};
 
 /// Default and largest number of points.

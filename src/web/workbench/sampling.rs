@@ -1,8 +1,8 @@
 //! Sampling time of a record.
 
-use stiction::core::signal::align::Point;
 use stiction::core::signal::stats;
 use stiction::core::units::s_from_ns;
+use stiction::samples::align::Point;
 
 /// Median interval between samples, s.
 #[must_use]

@@ -15,7 +15,7 @@ use super::sampling::sampling_time_s;
 use tempfile::TempDir;
 
 use stiction::core::record::{Sample, Signal};
-use stiction::core::signal::align::Point;
+use stiction::samples::align::Point;
 use stiction_engine::analysis::{Points, Section};
 use stiction_engine::config::Config;
 use stiction_files::compact::stem_of;

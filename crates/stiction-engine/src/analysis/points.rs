@@ -8,9 +8,9 @@ use super::AnalysisError;
 use crate::config::Config;
 use crate::engine::{LoopSettings, longest, section, windows};
 use stiction::core::record::{Record, Sample, Signal, Value};
-use stiction::core::signal::align::{Point, align_all};
 use stiction::core::units::format_rfc3339;
 use stiction::core::verdict::{AssessParams, swapped};
+use stiction::samples::align::{Point, align_all};
 
 /// Fewest usable samples, and fewest points after downsampling, for a fit.
 pub const MIN_SAMPLES: usize = 30;

@@ -2,8 +2,8 @@
 
 use stiction::core::gap::Diagnosis;
 use stiction::core::record::Record;
-use stiction::core::signal::align::Point;
 use stiction::core::units::ns_from_s;
+use stiction::samples::align::Point;
 
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use super::{Config, LoopConfig};
 use crate::alarm::LoopContext;
 use crate::engine::{EngineSettings, LoopSettings, Origins};
-use stiction::core::signal::align::AlignParams;
 use stiction::core::units::{LoopKind, ns_from_s};
 use stiction::core::verdict::AssessParams;
+use stiction::samples::align::AlignParams;
 
 impl Config {
     /// Settings of an engine.

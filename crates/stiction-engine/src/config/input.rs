@@ -6,7 +6,7 @@ use toml::de::DeTable;
 use super::reader::{Fault, Lines, TableReader};
 use crate::codec::{self, ConfiguredCodec};
 use stiction::core::record::Mode;
-use stiction::core::signal::align::Quality;
+use stiction::samples::align::Quality;
 
 /// Default of `[input] queue_bytes`.
 const QUEUE_BYTES: usize = 64 << 20;

@@ -32,8 +32,8 @@ use crate::engine::{GapParams, WindowParams};
 use crate::hash::short_hash;
 use crate::shard::Shard;
 use stiction::core::record::Signal;
-use stiction::core::signal::history::{LEAST_BYTES, fitting};
 use stiction::core::units::{FinalElement, LoopKind, is_loop_name};
+use stiction::samples::history::{LEAST_BYTES, fitting};
 
 /// Whether the settings have their defaults.
 fn is_default<T: Default + PartialEq>(settings: &T) -> bool {

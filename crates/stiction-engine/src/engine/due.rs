@@ -11,9 +11,9 @@ use super::gaps::{Accepted, Watched};
 use super::settings::{LoopSettings, WindowParams};
 use super::windowing::choose_record;
 use stiction::core::record::Record;
-use stiction::core::signal::history::History;
 use stiction::core::units::{Moment, s_from_ns};
 use stiction::core::verdict::{Assessment, Gate, Oscillation, Window, assess};
+use stiction::samples::history::History;
 
 /// A loop's history at one moment.
 #[derive(Debug, Clone)]

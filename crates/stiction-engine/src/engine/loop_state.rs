@@ -12,10 +12,10 @@ use stiction::core::gap::MIN_POINTS;
 use stiction::core::gap::model::Model;
 use stiction::core::gap::pool;
 use stiction::core::record::{Record, Sample};
-use stiction::core::signal::align::{Aligned, Aligner};
-use stiction::core::signal::history::History;
 use stiction::core::units::ns_from_s;
 use stiction::core::verdict::{AssessParams, Assessment, EstimateDocument, MemberJudgement};
+use stiction::samples::align::{Aligned, Aligner};
+use stiction::samples::history::History;
 
 /// A diagnosis under way; the answer, once it came, is `None` if it was skipped.
 #[derive(Debug)]

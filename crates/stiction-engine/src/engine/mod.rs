@@ -25,8 +25,8 @@ use serde::{Deserialize, Serialize};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
 use loop_state::LoopState;
 use stiction::core::record::Sample;
-use stiction::core::signal::align::{AlignCounts, Aligner};
 use stiction::core::verdict::EstimateDocument;
+use stiction::samples::align::{AlignCounts, Aligner};
 
 pub use due::{Request, Snapshot, WindowAnswer};
 pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};

@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::alarm::{AlarmParams, LoopContext};
 use stiction::core::record::Signal;
-use stiction::core::signal::align::AlignParams;
-use stiction::core::signal::history::{History, fitting};
 use stiction::core::units::LoopKind;
 use stiction::core::verdict::AssessParams;
+use stiction::samples::align::AlignParams;
+use stiction::samples::history::{History, fitting};
 
 /// When windows come due and how long they are; times in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

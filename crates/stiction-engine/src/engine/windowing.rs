@@ -3,9 +3,9 @@
 use super::settings::WindowParams;
 use stiction::core::detect::oscillation;
 use stiction::core::record::Record;
-use stiction::core::signal::align::Point;
-use stiction::core::signal::history::{View, record_of};
 use stiction::core::units::ns_from_s;
+use stiction::samples::align::Point;
+use stiction::samples::history::{View, record_of};
 
 /// Doublings of the box size between two searches: an oscillation too slow for one is found in the next.
 const LEVEL_STEP: usize = 2;

@@ -35,11 +35,11 @@ pub use causes::CAUSES;
 pub use verdict::{KINDS, LIMIT_CYCLE, PROCESS_KINDS, RECORD_KINDS};
 
 use stiction::core::record::Record;
-use stiction::core::signal::align::Point;
 use stiction::core::sim::controller::PidSettings;
 use stiction::core::sim::process::ProcessModel;
 use stiction::core::units::ns_from_s;
 use stiction::core::verdict::AssessParams;
+use stiction::samples::align::Point;
 use stiction_engine::analysis::Judgeable;
 use stiction_engine::engine::{WindowParams, windows};
 

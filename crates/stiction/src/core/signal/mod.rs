@@ -1,13 +1,8 @@
-//! Tools for sampled signals: alignment, history, statistics, spectra.
+//! Tools for sampled signals: detrending, resampling, statistics, spectra.
 
-pub mod align;
-#[cfg(test)]
-mod align_check;
 pub mod detrend;
 pub mod held;
-pub mod history;
 pub mod lag;
-mod op_trail;
 pub mod resample;
 pub mod spectrum;
 pub mod stats;

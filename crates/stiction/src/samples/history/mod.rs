@@ -14,8 +14,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::align::Point;
-use super::held::held_over;
 use crate::core::record::{Facts, Record};
+use crate::core::signal::held::held_over;
 use crate::core::units::s_from_ns;
 use columns::{Sparse, Times, bytes, put};
 
