@@ -8,9 +8,9 @@ use crate::options::{Look, config};
 use crate::supervise::supervised;
 use crate::{StictionError, refused};
 use stiction::core::ident::Model;
-use stiction::core::ident::fit_plots::FitPlots;
 use stiction::core::signal::stats;
 use stiction::core::sim::slips::Law;
+use stiction::toolbox::fit_plots::FitPlots;
 use stiction_engine::analysis::Points;
 
 /// The error over the (fs, fd) plane for one order of the process, JSON; `step` is a fraction of OP's span.

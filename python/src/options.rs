@@ -3,10 +3,10 @@
 use pyo3::prelude::*;
 
 use crate::refused;
-use stiction::core::ident::surface::BUDGET;
 use stiction::core::optim::{Settings, SolverName};
 use stiction::core::units::{LoopKind, parse_time};
 use stiction::core::verdict::{AssessParams, ModelChoice, ValveChoice};
+use stiction::toolbox::surface::BUDGET;
 use stiction_engine::analysis::{self, Cut, Detrend, Section, delay_choice};
 use stiction_engine::config::Config;
 

@@ -11,11 +11,11 @@ use serde_json::json;
 
 use crate::cli::stop;
 use stiction::core::ident::Options;
-use stiction::core::ident::surface::{BUDGET, Solved, Surface};
 use stiction::core::optim::{Outcome, Settings, SolverName, Termination};
 use stiction::core::record::Record;
 use stiction::core::units::significant;
 use stiction::core::verdict::Assessment;
+use stiction::toolbox::surface::{BUDGET, Solved, Surface};
 use stiction_engine::analysis::solver::{self, SolverDocument};
 
 /// `--solver` and its options.

@@ -1,9 +1,9 @@
 //! The computations for a loop's pictures, cheapest first.
 
-use stiction::core::ident::fit_plots;
-use stiction::core::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Optimum, OrderChart, RESAMPLES, RESTARTS};
 use stiction::core::record::Record;
 use stiction::core::verdict::{AssessParams, Assessment};
+use stiction::toolbox::fit_plots;
+use stiction::toolbox::fit_plots::{ErrorMap, FitPlots, FreeRun, Optimum, OrderChart, RESAMPLES, RESTARTS};
 
 /// Step of the error maps, fraction of OP's span.
 const MAP_STEP: f64 = 0.025;

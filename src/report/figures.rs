@@ -1,11 +1,11 @@
 //! One loop's pictures, from its record and the results computed from it.
 
-use stiction::core::ident::fit_plots::{ErrorMap, Optimum};
 use stiction::core::ident::region::{BOUNDS, STRENGTHS};
 use stiction::core::ident::{OrderBy, OrderChoice};
 use stiction::core::record::Record;
 use stiction::core::signal::{lag, stats};
 use stiction::core::verdict::Assessment;
+use stiction::toolbox::fit_plots::{ErrorMap, Optimum};
 
 use super::across::Across;
 use super::chart::{Bar, HeatMap, Histogram, Overlay, bars, heat_map, histogram};

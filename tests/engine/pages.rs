@@ -163,7 +163,7 @@ fn sorted(mut names: Vec<String>) -> Vec<String> {
 #[test]
 fn tables_list_what_there_is() {
     let names = |all: Vec<&'static str>| all.into_iter().map(str::to_owned).collect::<Vec<_>>();
-    let solvers = names(stiction::core::optim::ALL.iter().map(|s| s.name()).collect());
+    let solvers = names(stiction::toolbox::solvers::ALL.iter().map(|s| s.name()).collect());
     assert_eq!(column("docs/commands.md", "solver"), solvers);
     let formats = names(stiction_engine::codec::ALL.iter().map(|c| c.name()).collect());
     assert_eq!(column("docs/formats.md", "format"), formats);

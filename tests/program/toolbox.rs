@@ -79,7 +79,7 @@ fn several_sections_give_several_documents_and_short_ones_say_what_is_needed() {
 #[test]
 fn a_solver_is_told_beside_the_estimate() {
     let some = ["analyze", "recordings/sticking.mcap", "--samples", "1,500", "--evaluations", "400", "--solver"];
-    for solver in stiction::core::optim::ALL {
+    for solver in stiction::toolbox::solvers::ALL {
         let found = &json(&[&some[..], &[solver.name()]].concat())[0]["solver"];
         assert_eq!((&found["name"], &found["evaluations_limit"]), (&solver.name().into(), &400.into()));
         let [fs, fd, s0, mse] = ["fs", "fd", "s0", "mse"].map(|key| found[key].as_f64().unwrap());

@@ -148,6 +148,8 @@ pub mod repair;
 pub mod samples;
 #[doc(hidden)]
 pub mod simulated;
+#[doc(hidden)]
+pub mod toolbox;
 
 pub use crate::core::VERSION;
 pub use crate::core::record::Record;
@@ -246,10 +248,9 @@ pub mod record {
 /// # Ok::<(), stiction::NoFit>(())
 /// ```
 pub mod solver {
-    pub use crate::core::ident::surface::{Solved, Surface, solve};
-    pub use crate::core::optim::{
-        ALL, AdaptiveRandom, BranchBound, Contour, Multistart, Objective, Outcome, Settings, Solver,
-    };
+    pub use crate::core::optim::{Contour, Objective, Outcome, Settings, Solver};
+    pub use crate::toolbox::solvers::{ALL, AdaptiveRandom, BranchBound, Multistart};
+    pub use crate::toolbox::surface::{Solved, Surface, solve};
 }
 
 /// Simulation of control loops with sticking valves.

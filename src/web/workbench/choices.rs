@@ -8,9 +8,9 @@ use super::request::{BUDGET_S, EVALUATIONS, FINENESS_PCT, GAP_SEED};
 use crate::report::IN_FULL;
 use stiction::core::gap::effects;
 use stiction::core::ident::Options;
-use stiction::core::ident::surface::BUDGET;
-use stiction::core::optim;
 use stiction::core::verdict::prevalence::{PREVALENCE, SHARES};
+use stiction::toolbox::solvers;
+use stiction::toolbox::surface::BUDGET;
 use stiction_engine::analysis::MIN_SAMPLES;
 
 /// One of several values.
@@ -89,7 +89,7 @@ pub fn all(max_file_bytes: u64) -> Choices {
     ];
     let words_of = |name: &str| solvers.iter().find(|(id, _)| *id == name).map_or(name, |(_, words)| *words).to_owned();
     let mut set_beside = choices(&[("", "None: the estimate's own search")]);
-    set_beside.extend(optim::ALL.iter().map(|solver| Choice {
+    set_beside.extend(solvers::ALL.iter().map(|solver| Choice {
         id: solver.name().to_owned(),
         words: words_of(solver.name()),
         stage: None,
@@ -177,7 +177,7 @@ mod tests {
     #[test]
     fn every_solver_has_words() {
         let all = all(1);
-        assert_eq!(all.solvers.len(), optim::ALL.len() + 1);
+        assert_eq!(all.solvers.len(), solvers::ALL.len() + 1);
         assert!(all.solvers.iter().all(|solver| solver.words.contains(": ")), "{:?}", all.solvers);
         assert!(all.effects.iter().all(|effect| effect.stage.is_some() && !effect.words.is_empty()));
     }

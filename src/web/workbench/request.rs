@@ -8,11 +8,11 @@ use super::fault::Fault;
 use crate::report::command::command_line;
 use stiction::core::gap::effects;
 use stiction::core::gap::model_file::ModelFile;
-use stiction::core::ident::surface::BUDGET;
 use stiction::core::optim::SolverName;
 use stiction::core::units::{format_rfc3339, parse_time};
 use stiction::core::verdict::prevalence::SHARES;
 use stiction::core::verdict::{DelayChoice, ModelChoice, ValveChoice};
+use stiction::toolbox::surface::BUDGET;
 use stiction_engine::analysis::gap::{BaseChoice, GapSettings};
 use stiction_engine::analysis::{Cut, Detrend, FitOverrides, Section, delay_choice};
 

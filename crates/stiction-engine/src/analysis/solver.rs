@@ -4,11 +4,11 @@ use serde::Serialize;
 
 use stiction::core::ident::Options;
 use stiction::core::ident::class::Class;
-use stiction::core::ident::surface::{Solved, Surface};
 use stiction::core::optim::{Objective, Settings, Solver, Termination};
 use stiction::core::record::Record;
 use stiction::core::sim::slips::Law;
 use stiction::core::verdict::{Assessment, Process};
+use stiction::toolbox::surface::{Solved, Surface};
 
 /// A solver's result, as in documents.
 #[derive(Debug, Clone, PartialEq, Serialize)]

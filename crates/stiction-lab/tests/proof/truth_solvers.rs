@@ -3,10 +3,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use stiction::core::ident::class::Class;
-use stiction::core::ident::surface::{Surface, solve};
 use stiction::core::ident::{ModelChoice, Options, ValveChoice};
-use stiction::core::optim::{self, Settings};
+use stiction::core::optim::Settings;
 use stiction::core::sim::slips::Law;
+use stiction::toolbox::solvers;
+use stiction::toolbox::surface::{Surface, solve};
 use stiction_lab::truth::fixture::Loop;
 
 /// Enough for this record; the command line allows more.
@@ -38,7 +39,7 @@ fn sticking() -> Loop {
 fn every_solver_finds_the_bands_of_a_sticking_valve() {
     let truth = sticking();
     let record = truth.run().record;
-    for solver in optim::ALL {
+    for solver in solvers::ALL {
         let mut surface = Surface::new(&record, &options(), Law::He, Class::First).unwrap();
         // The grid alone needs a fine step; the other solvers refine by themselves.
         let settings = Settings { budget: BUDGET, fineness_pct: 2.0, seed: 1 };

@@ -6,8 +6,8 @@
 use crate::labelled;
 use std::collections::BTreeMap;
 
-use stiction::core::ident::one_step::{Search, toolbox};
 use stiction::core::signal::stats;
+use stiction::toolbox::one_step::{Search, toolbox};
 
 const FOLDER: &str = labelled::RECORDINGS;
 /// Smallest correlation. The zero in front of the record matters: without it, the correlation is 0.969.

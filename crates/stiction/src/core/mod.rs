@@ -11,7 +11,7 @@
 //! | layer | modules |
 //! |---|---|
 //! | basics | [`units`] times, names, numbers · [`people`] numbers rounded for people · [`record`] samples, and the record of one estimate · [`guard`] limits of a test on a running loop |
-//! | tools | [`signal`] detrending, resampling, statistics, spectra · [`optim`] solvers |
+//! | tools | [`signal`] detrending, resampling, statistics, spectra · [`optim`] search on a triangle |
 //! | physics | [`sim`] valve models, processes, controller, noise, closed loop: the only copy of each formula |
 //! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
 //! | judgement | [`verdict`] validity checks, verdict, the estimate's document · [`gap`] model-plant mismatch |

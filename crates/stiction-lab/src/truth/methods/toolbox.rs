@@ -1,8 +1,8 @@
 //! The toolbox's method (Lee, Ren and Huang 2008): the best cell of He's law compared with no friction.
 
 use super::{Answer, Case, Method};
-use stiction::core::ident::one_step::{Best, Search, toolbox};
 use stiction::core::signal::stats;
+use stiction::toolbox::one_step::{Best, Search, toolbox};
 
 /// Samples kept per period; the dead times tried are counted in samples.
 const POINTS_PER_PERIOD: f64 = 100.0;

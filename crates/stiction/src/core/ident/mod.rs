@@ -8,7 +8,6 @@ mod choice;
 pub mod class;
 pub mod controller;
 pub mod evaluator;
-pub mod fit_plots;
 pub mod free_run;
 pub(crate) mod hypothetical;
 pub(crate) mod kinetic_band;
@@ -16,7 +15,6 @@ pub(crate) mod least_squares;
 mod model;
 mod no_fit;
 pub(crate) mod normalised;
-pub mod one_step;
 mod quantify;
 pub(crate) mod random;
 pub mod region;
@@ -24,7 +22,6 @@ pub mod residual;
 mod robust;
 pub mod sign;
 pub(crate) mod slip_search;
-pub mod surface;
 pub mod width;
 
 /// Schema name of documents with an estimate, from which models can be read.

@@ -8,7 +8,7 @@ const DIRECTIONS: [[f64; 2]; 8] =
     [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]];
 
 /// Searches from `point` (of known `cost`) with steps from `step` down to `finest`.
-pub(super) fn compass(meter: &mut Meter<'_>, mut point: [f64; 2], mut cost: f64, mut step: f64, finest: f64) {
+pub(crate) fn compass(meter: &mut Meter<'_>, mut point: [f64; 2], mut cost: f64, mut step: f64, finest: f64) {
     while step > finest {
         let mut moved = false;
         for d in DIRECTIONS {

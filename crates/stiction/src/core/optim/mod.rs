@@ -1,20 +1,13 @@
 //! Search over the two friction bands in normalised form: s and j as fractions of OP's span on the triangle
 //! `0 <= j <= s <= 1`, where `s = fs + fd` is dead band plus stick band and `j = fs - fd` the slip jump.
 //!
-//! A solver gets a cost function of two numbers, a budget and a seed; it knows nothing about valves. One file per solver, one
-//! entry in [`ALL`].
+//! A solver gets a cost function of two numbers, a budget and a seed; it knows nothing about valves. The fit uses the grid of
+//! [`Contour`]; the other solvers are in [`crate::toolbox::solvers`].
 
-mod branch_bound;
 mod contour;
-mod draw;
 pub(crate) mod local;
-mod multistart;
-mod random;
 
-pub use branch_bound::BranchBound;
 pub use contour::Contour;
-pub use multistart::Multistart;
-pub use random::AdaptiveRandom;
 
 use serde::Serialize;
 
@@ -100,9 +93,6 @@ pub trait Solver: Sync {
     fn search(&self, objective: &mut dyn Objective, settings: &Settings) -> Outcome;
 }
 
-/// All solvers.
-pub const ALL: [&dyn Solver; 4] = [&Contour, &Multistart, &AdaptiveRandom, &BranchBound];
-
 /// A built-in solver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -119,43 +109,20 @@ pub enum SolverName {
     BranchBound,
 }
 
-impl SolverName {
-    /// All solvers, in the order of [`optim::ALL`](ALL).
-    pub const ALL: [Self; ALL.len()] = [Self::Contour, Self::Multistart, Self::Random, Self::BranchBound];
-
-    /// The solver itself.
-    #[must_use]
-    pub const fn solver(self) -> &'static dyn Solver {
-        ALL[self as usize]
-    }
-
-    /// The solver's name.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        self.solver().name()
-    }
-
-    /// The solver with this name.
-    #[must_use]
-    pub fn of(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|s| s.name() == name)
-    }
-}
-
 /// Counts evaluations and keeps the best, for all solvers.
-struct Meter<'a> {
+pub(crate) struct Meter<'a> {
     objective: &'a mut dyn Objective,
-    left: u64,
-    outcome: Outcome,
+    pub(crate) left: u64,
+    pub(crate) outcome: Outcome,
 }
 
 impl<'a> Meter<'a> {
-    fn new(objective: &'a mut dyn Objective, budget: u64) -> Self {
+    pub(crate) fn new(objective: &'a mut dyn Objective, budget: u64) -> Self {
         Self { objective, left: budget, outcome: Outcome::nothing() }
     }
 
     /// Cost of a point, or `None` when the budget is used up.
-    fn ask(&mut self, point: [f64; 2]) -> Option<f64> {
+    pub(crate) fn ask(&mut self, point: [f64; 2]) -> Option<f64> {
         if self.left == 0 {
             self.outcome.stopped = Termination::Budget;
             return None;
@@ -168,64 +135,5 @@ impl<'a> Meter<'a> {
             self.outcome.best = point;
         }
         Some(cost)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    struct Bowl([f64; 2]);
-
-    impl Objective for Bowl {
-        fn cost(&mut self, p: [f64; 2]) -> f64 {
-            assert!(0.0 <= p[1] && p[1] <= p[0] && p[0] <= 1.0, "{p:?}");
-            (p[0] - self.0[0]) * (p[0] - self.0[0]) + (p[1] - self.0[1]) * (p[1] - self.0[1])
-        }
-    }
-
-    #[test]
-    fn every_solver_finds_a_bowl_anywhere_on_the_triangle() {
-        let settings = Settings { budget: 5000, fineness_pct: 5.0, seed: 1 };
-        for solver in ALL {
-            let name = SolverName::of(solver.name()).unwrap();
-            assert_eq!(serde_json::to_value(name).unwrap(), solver.name());
-            for target in [[0.42, 0.11], [1.0, 1.0], [0.03, 0.0], [0.77, 0.76]] {
-                let found = solver.search(&mut Bowl(target), &settings);
-                assert!(found.cost < 1e-4, "{} {target:?}: {found:?}", solver.name());
-                assert_eq!(found, solver.search(&mut Bowl(target), &settings));
-            }
-        }
-    }
-
-    #[test]
-    fn every_solver_finds_the_deepest_of_many_valleys() {
-        struct Valleys;
-        impl Objective for Valleys {
-            fn cost(&mut self, p: [f64; 2]) -> f64 {
-                let bowl = |x: f64, y: f64| (p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y);
-                let ripple = 1.0 - libm::cos(25.0 * (p[0] - 0.63)) * libm::cos(25.0 * (p[1] - 0.22));
-                // No model near the tip, as if the stem hardly moved.
-                if p[0] > 0.95 { f64::INFINITY } else { bowl(0.63, 0.22) + 0.03 * ripple }
-            }
-        }
-        let settings = Settings { budget: 10_000, fineness_pct: 5.0, seed: 4 };
-        for solver in ALL {
-            let found = solver.search(&mut Valleys, &settings);
-            let [s, j] = found.best;
-            assert!((s - 0.63).abs() < 0.01 && (j - 0.22).abs() < 0.01, "{}: {found:?}", solver.name());
-            assert!(found.lower_bound.is_none_or(|bound| bound <= found.cost), "{}: {found:?}", solver.name());
-        }
-    }
-
-    #[test]
-    fn every_solver_keeps_its_budget() {
-        for solver in ALL {
-            for budget in [0, 1, 7, 100] {
-                let settings = Settings { budget, fineness_pct: 1.0, seed: 3 };
-                let found = solver.search(&mut Bowl([0.5, 0.2]), &settings);
-                assert!(found.evaluations <= budget && found.stopped == Termination::Budget);
-            }
-        }
     }
 }

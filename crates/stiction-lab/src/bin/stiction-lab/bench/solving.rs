@@ -6,7 +6,6 @@ use super::{Row, cpu};
 use crate::evaluate;
 use stiction::core::detect::{self, View};
 use stiction::core::ident::class::Class;
-use stiction::core::ident::surface::{BUDGET, Surface, solve};
 use stiction::core::ident::{Options, controller, evaluator};
 use stiction::core::optim::{Settings, SolverName};
 use stiction::core::record::Record;
@@ -14,6 +13,7 @@ use stiction::core::signal::stats;
 use stiction::core::sim::slips::{FirstSlip, Law, Stroke};
 use stiction::core::sim::steps::{Path as OpPath, Steps};
 use stiction::core::verdict::{AssessParams, assess, is_screened_out};
+use stiction::toolbox::surface::{BUDGET, Surface, solve};
 use stiction_lab::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
 /// Rounds per kernel.

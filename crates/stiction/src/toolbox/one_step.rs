@@ -2,7 +2,7 @@
 //!
 //! Lee, Ren and Huang (2008) grid the two bands of He's law, estimate a first-order process with dead time from the valve
 //! signal of each cell by least squares, and compare. An industrial implementation scores a window by how much the best cell's
-//! free run improves on the one without friction. [`super::quantify`] does better in all respects; this is the benchmark, with
+//! free run improves on the one without friction. [`crate::core::ident::quantify`] does better in all respects; this is the benchmark, with
 //! the number that others know.
 
 use crate::core::signal::stats::{dot, mean, variance};

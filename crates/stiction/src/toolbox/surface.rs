@@ -1,20 +1,20 @@
 //! The error surface over the friction bands, as the toolbox plots and searches it: for an exact pair (fs, fd), the mean
 //! squared free-run error of the best process of one class (Lee, Ren and Huang 2008, their error map).
 //!
-//! [`super::quantify`] searches differently (whole cells of equal slips at once, fd solved, several views of the error). This
+//! [`crate::core::ident::quantify`] searches differently (whole cells of equal slips at once, fd solved, several views of the error). This
 //! surface is for general solvers and error maps.
 
-use super::choice::Options;
-use super::class::Class;
-use super::evaluator::{View, lattice_index, lattice_tau};
-use super::no_fit::NoFit;
-use super::normalised::{NormalisedRecord, Start};
-use super::sign;
-use super::slip_search::candidate::{Candidate, LatticeFit};
-use super::slip_search::coarse_scan::CoarseScan;
-use super::slip_search::evaluator::Evaluator;
-use super::slip_search::part::frictionless;
-use super::slip_search::problem::Problem;
+use crate::core::ident::NoFit;
+use crate::core::ident::Options;
+use crate::core::ident::class::Class;
+use crate::core::ident::evaluator::{View, lattice_index, lattice_tau};
+use crate::core::ident::normalised::{NormalisedRecord, Start};
+use crate::core::ident::sign;
+use crate::core::ident::slip_search::candidate::{Candidate, LatticeFit};
+use crate::core::ident::slip_search::coarse_scan::CoarseScan;
+use crate::core::ident::slip_search::evaluator::Evaluator;
+use crate::core::ident::slip_search::part::frictionless;
+use crate::core::ident::slip_search::problem::Problem;
 use crate::core::optim::{Objective, Outcome, Settings, Solver};
 use crate::core::record::Record;
 use crate::core::sim::slips::Law;
@@ -181,7 +181,7 @@ impl Side {
     fn process(&mut self, evaluator: &mut Evaluator<'_>, [s, j]: [f64; 2], start: Start) -> Option<Candidate> {
         let fd = 0.5 * (s - j);
         let freedom = evaluator.slip(s, j, start)?;
-        let freedom = super::kinetic_band::Freedom { fd: [fd; 2], fd_default: fd, ..freedom };
+        let freedom = crate::core::ident::kinetic_band::Freedom { fd: [fd; 2], fd_default: fd, ..freedom };
         let seen = self.scans.iter().map(|scan| scan.look(&evaluator.steps().list, &freedom));
         let seen = seen.min_by(|a, b| a.share.total_cmp(&b.share))?;
         let place = lattice_index(seen.tau);

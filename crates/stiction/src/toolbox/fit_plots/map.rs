@@ -1,9 +1,9 @@
 //! The error over the plane of the bands, with all process parameters optimised: the toolbox's error map.
 
-use super::super::slip_search::interval::centred;
-use super::super::surface::Surface;
 use super::{FitPlots, class_of};
+use crate::core::ident::slip_search::interval::centred;
 use crate::core::sim::slips::Law;
+use crate::toolbox::surface::Surface;
 
 /// One cell of an [`ErrorMap`].
 #[derive(Debug, Clone, Copy, PartialEq)]

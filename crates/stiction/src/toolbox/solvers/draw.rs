@@ -3,7 +3,7 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use super::local::on_triangle;
+use crate::core::optim::local::on_triangle;
 
 /// A random stream that is determined by the seed on every machine.
 pub(super) struct Draws(ChaCha8Rng);

@@ -7,7 +7,7 @@
 
 use std::collections::BinaryHeap;
 
-use super::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
+use crate::core::optim::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
 
 /// The branch-and-bound solver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

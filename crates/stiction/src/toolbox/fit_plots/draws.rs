@@ -2,16 +2,16 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::super::choice::Options;
-use super::super::choice::ValveChoice;
-use super::super::normalised::NormalisedRecord;
-use super::super::quantify::quantify;
-use super::super::random::{seeded_rng, uniform};
-use super::super::slip_search::candidate::Candidate;
-use super::super::slip_search::evaluator::on_whole_record;
-use super::super::slip_search::local_search::{Nearness, random_steps};
-use super::super::slip_search::problem::Problem;
 use super::FitPlots;
+use crate::core::ident::Options;
+use crate::core::ident::ValveChoice;
+use crate::core::ident::normalised::NormalisedRecord;
+use crate::core::ident::quantify;
+use crate::core::ident::random::{seeded_rng, uniform};
+use crate::core::ident::slip_search::candidate::Candidate;
+use crate::core::ident::slip_search::evaluator::on_whole_record;
+use crate::core::ident::slip_search::local_search::{Nearness, random_steps};
+use crate::core::ident::slip_search::problem::Problem;
 use crate::core::sim::slips::Law;
 
 /// Result of one search.

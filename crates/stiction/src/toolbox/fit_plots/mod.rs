@@ -10,16 +10,16 @@ mod map;
 pub use draws::{Optimum, RESAMPLES, RESTARTS};
 pub use map::{Cell, ErrorMap};
 
-use super::choice::Options;
-use super::class::Class;
-use super::evaluator::{View, lattice_index};
-use super::model::Model;
-use super::normalised::NormalisedRecord;
-use super::slip_search::answer::{EARNED, FITTED_SHARE, held_out};
-use super::slip_search::candidate::{Candidate, LatticeFit};
-use super::slip_search::evaluator::{Evaluator, Polished, on_whole_record};
-use super::slip_search::part::frictionless;
-use super::slip_search::problem::{EVEN_STARTS, Problem};
+use crate::core::ident::Model;
+use crate::core::ident::Options;
+use crate::core::ident::class::Class;
+use crate::core::ident::evaluator::{View, lattice_index};
+use crate::core::ident::normalised::NormalisedRecord;
+use crate::core::ident::slip_search::answer::{EARNED, FITTED_SHARE, held_out};
+use crate::core::ident::slip_search::candidate::{Candidate, LatticeFit};
+use crate::core::ident::slip_search::evaluator::{Evaluator, Polished, on_whole_record};
+use crate::core::ident::slip_search::part::frictionless;
+use crate::core::ident::slip_search::problem::{EVEN_STARTS, Problem};
 use crate::core::record::Record;
 use crate::core::signal::stats;
 

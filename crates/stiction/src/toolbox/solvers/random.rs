@@ -2,7 +2,7 @@
 //! gain and shrinks otherwise; a square that has become too small is reset to full size.
 
 use super::draw::Draws;
-use super::{Meter, Objective, Outcome, Settings, Solver, Termination};
+use crate::core::optim::{Meter, Objective, Outcome, Settings, Solver, Termination};
 
 /// The single-start adaptive random solver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 
 use super::draw::Draws;
 use super::random::descend;
-use super::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
+use crate::core::optim::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
 
 /// The multi-start adaptive random solver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
