@@ -11,7 +11,8 @@ use crate::options::{Look, config, stamp};
 use crate::supervise::{Watch, on_threads, supervised, threads};
 use crate::{StictionError, refused};
 use stiction::core::gap::model_file::ModelFile;
-use stiction::core::gap::{Executor, GapError, effects, text};
+use stiction::core::gap::{Executor, GapError, effects};
+use stiction::words::gap_text;
 use stiction_engine::analysis::gap::{
     BaseChoice, DiagnosedWindow, GapSettings, assessment, decide_together, diagnose as diagnosed, neighbour, record,
 };
@@ -156,7 +157,7 @@ pub fn diagnose<'py>(
         let rows = rows(&whole, &found.record, &found.diagnosis);
         let d = &found.document;
         let said = json!({
-            "words": text::answer(d), "paragraph": text::paragraph(d), "text": text::verbose(d), "notes": notes,
+            "words": gap_text::answer(d), "paragraph": gap_text::paragraph(d), "text": gap_text::verbose(d), "notes": notes,
         });
         let document = serde_json::to_string(d).map_err(|e| e.to_string())?;
         Ok((document, said.to_string(), rows))

@@ -7,9 +7,9 @@ use super::figures::Figure;
 use super::ink::Ink;
 use super::plot::{Mark, Panel, Plane, PlotError, Series, scatter, trend};
 use stiction::core::gap::document::EffectNote;
-use stiction::core::gap::text;
 use stiction::core::signal::stats;
 use stiction::core::units::number;
+use stiction::words::gap_text;
 use stiction_engine::analysis::gap::Diagnosed;
 
 const WIDE: u32 = 1080;
@@ -278,7 +278,7 @@ fn frequency(of: &Diagnosed) -> Made {
 
 /// Shares of PV's variance, one bar each.
 fn made_of(of: &Diagnosed) -> Result<Option<Figure>, PlotError> {
-    let Some(budget) = text::budget(&of.document) else { return Ok(None) };
+    let Some(budget) = gap_text::budget(&of.document) else { return Ok(None) };
     let notes: Vec<String> = budget.parts.iter().map(|part| format!("{:.1} %", part.share_pct)).collect();
     let list: Vec<Bar<'_>> = budget
         .parts
@@ -324,7 +324,7 @@ fn ranked(of: &Diagnosed) -> Result<Option<Figure>, PlotError> {
     let picture = bars("How far each effect closes the gap", WIDE, "% of the gap closed, with 90 % interval", &list)?;
     let caption = format!(
         "On held-out stretches, ranked by evidence on the others. The answer: {}. Bars end at -100 %.",
-        text::answer(d)
+        gap_text::answer(d)
     );
     Ok(Some(Figure { picture, caption, wide: true }))
 }

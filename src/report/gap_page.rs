@@ -5,8 +5,8 @@ use maud::{Markup, html};
 use super::gap_figures::figures;
 use super::page::{flatten, optional, picture, whole};
 use super::plot::PlotError;
-use stiction::core::gap::text::{self, BudgetText};
 use stiction::core::units::{from_to, number, probability};
+use stiction::words::gap_text::{self, BudgetText};
 use stiction_engine::analysis::gap::Diagnosed;
 
 /// Content of the report.
@@ -62,7 +62,7 @@ fn overview(report: &GapReport) -> Markup {
                             tr {
                                 td.name { a href=(format!("#loop-{k}")) { (d.loop_name) } }
                                 td { (d.valve.as_ref().map_or_else(String::new, |valve| valve.title())) }
-                                td { (text::answer(d)) }
+                                td { (gap_text::answer(d)) }
                                 td.number { (probability(d.cause.probability)) }
                                 td.number { (number(d.gap.gap)) }
                                 td.number.more { (optional(d.gap.relative.map(|r| 100.0 * r))) }
@@ -85,18 +85,18 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
     flatten("", &document, &mut rows);
     Ok(html! {
         details.loop open[open] {
-            summary { span.name { (d.loop_name) } " " (text::title(d)) }
+            summary { span.name { (d.loop_name) } " " (gap_text::title(d)) }
             div id=(format!("loop-{k}")) {
                 section.card {
-                    @let [conclusion, next, cost] = text::summary(d);
+                    @let [conclusion, next, cost] = gap_text::summary(d);
                     @if d.valve.is_some() {
-                        p.headline { (text::sentence(&text::title(d))) }
+                        p.headline { (gap_text::sentence(&gap_text::title(d))) }
                         p { (conclusion) }
                     } @else {
                         p.headline { (conclusion) }
                     }
                     p { (next) } p { (cost) }
-                    p.soft { (text::paragraph(d)) }
+                    p.soft { (gap_text::paragraph(d)) }
                     dl {
                         dt { "Gap" } dd {
                             (number(d.gap.gap)) " PV units above the noise"
@@ -116,7 +116,7 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
                             }
                         }
                         @if let Some(position) = d.valve.as_ref().and_then(|valve| valve.position) {
-                            dt { "Valve position" } dd { (text::sentence(&position.words())) }
+                            dt { "Valve position" } dd { (gap_text::sentence(&position.words())) }
                         }
                         @if let Some(f) = d.forward {
                             dt { "Forward" } dd {
@@ -124,17 +124,17 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
                                 " before, " (number(f.gap_after)) " after."
                             }
                         }
-                        @if let Some(from_sp) = &d.from_sp { dt { "From SP" } dd { (text::from_sp(from_sp)) "." } }
-                        @if let Some(windows) = text::windows(d) { dt { "Windows" } dd { (windows) "." } }
-                        @if let Some(compared) = text::other_loops(d) { dt { "Other loops" } dd { (compared) "." } }
-                        @if let Some(cycles) = &d.closed_loop { dt { "Closed loop" } dd { (text::cycles(cycles)) "." } }
+                        @if let Some(from_sp) = &d.from_sp { dt { "From SP" } dd { (gap_text::from_sp(from_sp)) "." } }
+                        @if let Some(windows) = gap_text::windows(d) { dt { "Windows" } dd { (windows) "." } }
+                        @if let Some(compared) = gap_text::other_loops(d) { dt { "Other loops" } dd { (compared) "." } }
+                        @if let Some(cycles) = &d.closed_loop { dt { "Closed loop" } dd { (gap_text::cycles(cycles)) "." } }
                         dt { "Record" } dd {
                             (from_to(d.window.start_ns, d.window.end_ns)) ", " (d.window.samples) " samples of " (number(d.window.ts_s)) " s, "
                             (d.evaluations) " model responses" @if d.stopped_early { ", search ended early" } "."
                         }
                     }
                 }
-                @if let Some(budget) = text::budget(d) { (made_of(&budget, &text::tellable(d))) }
+                @if let Some(budget) = gap_text::budget(d) { (made_of(&budget, &gap_text::tellable(d))) }
                 div.pictures { @for figure in &pictures { (picture(figure)) } }
                 details.numbers {
                     summary { "All numbers" }
@@ -166,7 +166,7 @@ fn made_of(budget: &BudgetText, tellable: &[String]) -> Markup {
                     }
                 }
             }
-            @for sentence in budget.limits.iter().chain(tellable) { p.soft { (text::sentence(sentence)) } }
+            @for sentence in budget.limits.iter().chain(tellable) { p.soft { (gap_text::sentence(sentence)) } }
         }
     }
 }

@@ -167,7 +167,7 @@ fn a_lag_behind_the_valve_is_named_and_closes_the_gap() {
 fn the_text_can_be_read_aloud() {
     let (d, _, _) = lagging();
     let document: GapDocument = serde_json::from_value(d.clone()).unwrap();
-    let text = stiction::core::gap::text::paragraph(&document);
+    let text = stiction::words::gap_text::paragraph(&document);
     for part in ["an extra lag of", "what is left is", "of PV's movement"] {
         assert!(text.contains(part), "{part:?} is missing: {text}");
     }

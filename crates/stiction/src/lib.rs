@@ -150,6 +150,8 @@ pub mod samples;
 pub mod simulated;
 #[doc(hidden)]
 pub mod toolbox;
+#[doc(hidden)]
+pub mod words;
 
 pub use crate::core::VERSION;
 pub use crate::core::record::Record;
@@ -176,8 +178,8 @@ pub use crate::repair::{Case, Figure, NoRepair, Repair, RepairParams, repair};
 // The gap between model and plant.
 pub use crate::core::gap::document::{CauseNote, EffectNote, GapDocument};
 pub use crate::core::gap::model::Model as GapModel;
-pub use crate::core::gap::text::report as gap_report;
 pub use crate::core::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Neighbour, Serial, diagnose};
+pub use crate::words::gap_text::report as gap_report;
 
 /// From raw samples to a [`Record`]: each value has its own timestamp, and some are late, missing or of bad quality.
 ///

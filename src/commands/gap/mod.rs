@@ -18,7 +18,8 @@ use crate::report::command::command_line;
 use crate::report::{GapReport, gap_page};
 use crate::runtime::cores::{Team, Watch};
 use indicatif::{ProgressBar, ProgressStyle};
-use stiction::core::gap::{GapError, effects, text};
+use stiction::core::gap::{GapError, effects};
+use stiction::words::gap_text;
 use stiction_engine::analysis::gap::{BaseChoice, Diagnosed, GapSettings};
 use stiction_engine::analysis::predictions::rows;
 use stiction_engine::analysis::{self, Points, Section};
@@ -228,8 +229,8 @@ impl Watch for Bar {
 fn print(found: &Diagnosed, verbose: bool, format: Format) -> anyhow::Result<()> {
     match format {
         Format::Json => say(serde_json::to_string(&found.document)?)?,
-        Format::Text if verbose => say(text::verbose(&found.document))?,
-        Format::Text => say(text::report(&found.document))?,
+        Format::Text if verbose => say(gap_text::verbose(&found.document))?,
+        Format::Text => say(gap_text::report(&found.document))?,
     }
     Ok(())
 }

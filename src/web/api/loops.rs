@@ -15,9 +15,9 @@ use crate::web::error::ApiError;
 use crate::web::extract::PathName;
 use crate::web::server::IdleTimer;
 use stiction::core::gap::document::GapDocument;
-use stiction::core::gap::text;
 use stiction::core::units::ms_from_ns;
 use stiction::core::verdict::{Assessment, EstimateDocument, answer, words};
+use stiction::words::gap_text;
 use stiction_engine::alarm::AlarmDocument;
 use stiction_engine::codec::topic::Kind;
 use stiction_engine::status::Headline;
@@ -76,7 +76,7 @@ struct Words {
     /// Result of the comparison with other loops.
     other_loops: Option<String>,
     /// The shares of PV's variance by cause, from that diagnosis.
-    budget: Option<text::BudgetText>,
+    budget: Option<gap_text::BudgetText>,
     /// What can be concluded from the diagnosed record.
     tellable: Vec<String>,
 }
@@ -143,10 +143,10 @@ async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<D
     let mut words = newest.estimate.as_deref().map(|e| words_of(&e.assessment)).unwrap_or_default();
     if let Some(read) = gap.as_ref().and_then(|g| serde_json::from_value::<GapDocument>(g.clone()).ok()) {
         // About the valve, the page shows what its windows say together.
-        words.gap = Some(text::of_gap(&read));
-        (words.windows, words.other_loops) = (text::windows(&read), text::other_loops(&read));
-        words.budget = text::budget(&read);
-        words.tellable = text::tellable(&read);
+        words.gap = Some(gap_text::of_gap(&read));
+        (words.windows, words.other_loops) = (gap_text::windows(&read), gap_text::other_loops(&read));
+        words.budget = gap_text::budget(&read);
+        words.tellable = gap_text::tellable(&read);
     }
     Ok(Json(Detail {
         row,

@@ -4,9 +4,9 @@ use crate::labelled;
 
 use stiction::core::detect::oscillation;
 use stiction::core::gap::document::GapDocument;
-use stiction::core::gap::text::{answer, summary};
 use stiction::core::gap::{GapOptions, Serial, diagnose};
 use stiction::core::guard::SHIFT_S;
+use stiction::words::gap_text::{answer, summary};
 
 /// Models tried per record: a fraction of those of `gap`, so that the test ends in minutes.
 const EVALUATIONS: u64 = 20_000;

@@ -31,6 +31,9 @@ use crate::core::verdict::Assessment;
 /// Schema name of a diagnosis.
 pub const GAP_SCHEMA: &str = "stictiond.gap.v1";
 
+/// Per cent of the gap below which an effect closes next to nothing.
+pub(crate) const LITTLE_PCT: f64 = LITTLE;
+
 /// Time range of the diagnosis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -166,7 +169,7 @@ impl CauseNote {
 
     /// What keeps the answer from being sure, where the record tells it. `leads` is false for a cause that closes next to nothing,
     /// `is_judged` is false where the base is worse than PV's mean.
-    pub(super) fn why_by(&self, told: &TellableNote, leads: bool, is_judged: bool) -> Option<&'static str> {
+    pub(crate) fn why_by(&self, told: &TellableNote, leads: bool, is_judged: bool) -> Option<&'static str> {
         let hardly = told.gain_nats < TOLD[0];
         // PV alone shows what a sensor or a recorder did to it.
         let acts_in_plant =
@@ -404,13 +407,13 @@ impl GapDocument {
     }
 
     /// Whether the base, with the named cause where there is one, follows held-out PV worse than PV's mean does.
-    pub(super) fn is_worse_than_mean(&self) -> bool {
+    pub(crate) fn is_worse_than_mean(&self) -> bool {
         let (given, closed) = (self.given.map(|given| given.gap), self.named().and_then(|e| e.closed_pct));
         self.gap.relative.is_some_and(|relative| share_left(relative, self.gap.gap, given, closed) > 1.0)
     }
 
     /// The named effect, unless it closes next to nothing: then it is a side note.
-    pub(super) fn leading(&self) -> Option<&EffectNote> {
+    pub(crate) fn leading(&self) -> Option<&EffectNote> {
         self.named().filter(|e| e.closed_pct.is_none_or(|closed| closed >= LITTLE))
     }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Share of PV's standard deviation up to which what is left needs no explanation: a hundredth of its variance.
-pub(super) const STATED: f64 = 0.1;
+pub(crate) const STATED: f64 = 0.1;
 
 /// The answer that the model is good enough.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -20,7 +20,7 @@ pub struct EnoughNote {
 impl EnoughNote {
     /// By the gap and the noise floor over PV's standard deviation; `None` where the model is not good enough.
     #[must_use]
-    pub(super) fn of(relative_gap: f64, relative_floor: Option<f64>) -> Option<Self> {
+    pub(crate) fn of(relative_gap: f64, relative_floor: Option<f64>) -> Option<Self> {
         let is_noise = relative_floor.is_some_and(|floor| relative_gap <= floor);
         let limit = relative_floor.filter(|_| is_noise).unwrap_or(STATED);
         (relative_gap <= limit).then_some(Self { left_pct: 100.0 * relative_gap, limit_pct: 100.0 * limit, is_noise })

@@ -48,6 +48,6 @@ pub(super) fn share_left(relative_gap: f64, base_gap: f64, given_gap: Option<f64
 }
 
 /// A share in figures.
-pub(super) fn percent(value: f64) -> String {
+pub(crate) fn percent(value: f64) -> String {
     format!("{value:.0} %")
 }

@@ -1,10 +1,9 @@
 //! How strongly an answer is put into words: one rule for all sentences, from the numbers beside them.
 
-use super::super::document::{EffectNote, GapDocument};
-use super::super::effects;
-use super::super::enough::STATED;
-use super::super::sizes::percent;
-use super::super::weigh::LITTLE;
+use crate::core::gap::document::{EffectNote, GapDocument, LITTLE_PCT};
+use crate::core::gap::effects;
+use crate::core::gap::enough::STATED;
+use crate::core::gap::sizes::percent;
 use crate::core::units::probability;
 
 /// Per cent closed from which an effect explains a gap.
@@ -42,10 +41,10 @@ impl Claim {
         // What leaves a trace in PV, or acts in both halves, is there, however little it closes; what was fitted is only there
         // if it closes.
         let acts = d.neighbours.as_ref().and_then(|n| n.acts.as_deref()).map(effects::neighbour::id_of);
-        if closed < LITTLE && (e.at_floor.is_none() || acts.as_ref() == Some(&e.id)) {
+        if closed < LITTLE_PCT && (e.at_floor.is_none() || acts.as_ref() == Some(&e.id)) {
             return Self::Hardly;
         }
-        if !d.cause.confirmed || closed < LITTLE {
+        if !d.cause.confirmed || closed < LITTLE_PCT {
             return Self::Suspected;
         }
         match e.closed_interval {

@@ -1,13 +1,13 @@
 //! The budget as a table, and what the record can tell, in words.
 
-use super::super::budget::document::{
+use super::effect;
+use crate::core::gap::budget::document::{
     BudgetNote, CANNOT_BE_TOLD, DISTURBANCE, EventNote, NOISE, NOT_SPLIT, PartNote, TellableNote, UNEXPLAINED, UPSETS,
     VALVE_AND_PROCESS,
 };
-use super::super::document::GapDocument;
-use super::super::effects;
-use super::super::sizes::percent;
-use super::effect;
+use crate::core::gap::document::GapDocument;
+use crate::core::gap::effects;
+use crate::core::gap::sizes::percent;
 use crate::core::units::{duration, number};
 use serde::{Deserialize, Serialize};
 use std::iter;
@@ -169,7 +169,7 @@ fn no_split(budget: &BudgetNote) -> Option<String> {
 }
 
 fn smallest(budget: &BudgetNote) -> Option<String> {
-    let one = |s: &super::super::budget::document::SmallestNote| {
+    let one = |s: &crate::core::gap::budget::document::SmallestNote| {
         let size = number(s.size);
         match s.period_s {
             Some(period) => format!("a sinusoid of amplitude {size} and period {}", duration(period)),
@@ -222,13 +222,13 @@ fn helps(told: &TellableNote) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::budget::document::NOT_IN_CATALOGUE;
-    use super::super::super::document::CauseNote;
     use super::super::{summary, verbose};
     use super::*;
+    use crate::core::gap::budget::document::NOT_IN_CATALOGUE;
+    use crate::core::gap::document::CauseNote;
 
     fn document() -> GapDocument {
-        serde_json::from_str(include_str!("../../../../tests/golden/gap-sinusoid.json")).unwrap()
+        serde_json::from_str(include_str!("../../../tests/golden/gap-sinusoid.json")).unwrap()
     }
 
     #[test]

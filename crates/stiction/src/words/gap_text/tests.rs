@@ -1,10 +1,10 @@
 //! Sentences that are made from the same numbers do not contradict each other.
 
-use super::super::document::{AlternativeNote, GapDocument, TestNote};
-use super::super::enough::EnoughNote;
-use super::super::types::Compared;
-use super::super::valve_note::ValveNote;
 use super::{answer, beside_position, first, paragraph, report, summary, title, verbose};
+use crate::core::gap::document::{AlternativeNote, GapDocument, TestNote};
+use crate::core::gap::enough::EnoughNote;
+use crate::core::gap::types::Compared;
+use crate::core::gap::valve_note::ValveNote;
 use crate::core::verdict::ValvePosition;
 
 /// Words that no answer may hold together.
@@ -41,8 +41,7 @@ struct Varied {
 
 impl Varied {
     fn document(&self) -> GapDocument {
-        let mut d: GapDocument =
-            serde_json::from_str(include_str!("../../../../tests/golden/gap-backlash.json")).unwrap();
+        let mut d: GapDocument = serde_json::from_str(include_str!("../../../tests/golden/gap-backlash.json")).unwrap();
         self.cause.clone_into(&mut d.cause.id);
         d.cause.confirmed = self.confirmed;
         let floor = d.gap.noise_floor.unwrap();
@@ -145,7 +144,7 @@ fn words_agree_with_the_figures_beside_them() {
 
 #[test]
 fn another_loop_is_said_whether_it_acts_or_not_and_named_where_no_free_run_was_fitted() {
-    let mut d: GapDocument = serde_json::from_str(include_str!("../../../../tests/golden/gap-backlash.json")).unwrap();
+    let mut d: GapDocument = serde_json::from_str(include_str!("../../../tests/golden/gap-backlash.json")).unwrap();
     let compared = |acts: Option<&str>| Compared {
         offered: 3,
         best: Some("F7".to_owned()),
@@ -167,7 +166,7 @@ fn another_loop_is_said_whether_it_acts_or_not_and_named_where_no_free_run_was_f
 
 #[test]
 fn what_is_named_beside_the_cause_is_said_with_its_own_figures() {
-    let mut d: GapDocument = serde_json::from_str(include_str!("../../../../tests/golden/gap-backlash.json")).unwrap();
+    let mut d: GapDocument = serde_json::from_str(include_str!("../../../tests/golden/gap-backlash.json")).unwrap();
     assert!(!answer(&d).contains("with ") && !paragraph(&d).contains("too (p"), "nothing is");
     "hold_compression".clone_into(&mut d.cause.id);
     let beside = |id: &str| Some(AlternativeNote { id: id.to_owned(), probability: 0.8 });
@@ -181,7 +180,7 @@ fn what_is_named_beside_the_cause_is_said_with_its_own_figures() {
 }
 
 fn backlash() -> GapDocument {
-    serde_json::from_str(include_str!("../../../../tests/golden/gap-backlash.json")).unwrap()
+    serde_json::from_str(include_str!("../../../tests/golden/gap-backlash.json")).unwrap()
 }
 
 fn sticking(position: Option<ValvePosition>) -> ValveNote {
@@ -263,7 +262,7 @@ fn a_test_says_what_it_costs_and_the_valves_own_cycle_is_not_external() {
     assert_eq!(summary(&d)[2], "Cost: 104 s in manual, OP moved by 1.64 both ways, PV by about 3.2.");
     assert!(title(&d).starts_with("backlash"), "{}", title(&d));
     let mut sinusoid: GapDocument =
-        serde_json::from_str(include_str!("../../../../tests/golden/gap-sinusoid.json")).unwrap();
+        serde_json::from_str(include_str!("../../../tests/golden/gap-sinusoid.json")).unwrap();
     sinusoid.next_test = None;
     let of_effect = |d: &GapDocument| super::effect::phrase(d.named().unwrap());
     assert!(of_effect(&sinusoid).starts_with("an external sinusoid"));

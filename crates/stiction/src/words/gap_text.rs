@@ -5,12 +5,12 @@ mod claim;
 mod effect;
 mod place;
 
-use super::document::{EffectNote, GapDocument, TestNote};
-use super::effects;
-use super::loop_run::Cycles;
-use super::sizes::percent;
-use super::types::{Compared, FromSp, NONE, UNKNOWN};
-use super::valve_note::ValveNote;
+use crate::core::gap::document::{EffectNote, GapDocument, TestNote};
+use crate::core::gap::effects;
+use crate::core::gap::loop_run::Cycles;
+use crate::core::gap::sizes::percent;
+use crate::core::gap::types::{Compared, FromSp, NONE, UNKNOWN};
+use crate::core::gap::valve_note::ValveNote;
 use crate::core::units::{duration, number, probability};
 pub use budget::{BudgetText, PartText, budget, tellable};
 use claim::Claim;

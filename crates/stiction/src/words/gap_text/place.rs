@@ -1,10 +1,10 @@
 //! Where the gap lies, in words.
 
-use super::super::document::GapDocument;
-use super::super::locate::Location;
-use super::super::loop_run::{Cycle, Cycles};
-use super::super::sizes::percent;
 use super::claim::nothing_left;
+use crate::core::gap::document::GapDocument;
+use crate::core::gap::locate::Location;
+use crate::core::gap::loop_run::{Cycle, Cycles};
+use crate::core::gap::sizes::percent;
 use crate::core::units::{number, probability};
 
 /// p up to which a place is told.
@@ -85,7 +85,7 @@ fn by_direction(l: &Location) -> Vec<Candidate> {
 fn by_time(l: &Location) -> Vec<Candidate> {
     let told = l.uneven.segments.is_some_and(|t| t.p <= TOLD_P);
     if let (Some(onset), Some(ratio)) = (l.onset_s, l.trend.onset_ratio) {
-        let side = |s: &&super::super::locate::Segment| (s.from_s + s.to_s) * 0.5 >= onset && ratio > 1.0;
+        let side = |s: &&crate::core::gap::locate::Segment| (s.from_s + s.to_s) * 0.5 >= onset && ratio > 1.0;
         let inside: Vec<_> = l.segments.iter().filter(side).collect();
         let share: f64 = inside.iter().filter_map(|s| s.share).sum();
         let part: f64 = inside.iter().map(|s| s.expected).sum();
@@ -107,7 +107,7 @@ fn by_time(l: &Location) -> Vec<Candidate> {
 fn by_level(l: &Location) -> Vec<Candidate> {
     let told = l.uneven.level.is_some_and(|t| t.p <= TOLD_P);
     let half = l.level.len() / 2;
-    let sum = |part: &[super::super::locate::Level]| {
+    let sum = |part: &[crate::core::gap::locate::Level]| {
         (part.iter().filter_map(|b| b.share).sum::<f64>(), part.iter().map(|b| b.expected).sum::<f64>())
     };
     let Some(middle) = l.level.get(half) else { return Vec::new() };
@@ -132,7 +132,7 @@ fn by_band(l: &Location) -> Vec<Candidate> {
         "in motion six to fifteen times as fast as the oscillation",
         "in motion more than fifteen times as fast as the oscillation",
     ];
-    let of = |(b, name): (&super::super::locate::Band, &str)| {
+    let of = |(b, name): (&crate::core::gap::locate::Band, &str)| {
         let share = b.share?;
         let lift = share - b.expected;
         // Half as telling as a tested place: slow parts are common.

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use super::super::document::{EffectNote, GapDocument};
-use super::super::effects::{self, Way};
-use super::super::sizes::{Quantity, Sizes};
-use super::super::types::{NONE, UNKNOWN};
+use crate::core::gap::document::{EffectNote, GapDocument};
+use crate::core::gap::effects::{self, Way};
+use crate::core::gap::sizes::{Quantity, Sizes};
+use crate::core::gap::types::{NONE, UNKNOWN};
 use crate::core::units::number;
 
 /// What an effect is called among others.

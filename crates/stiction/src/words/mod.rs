@@ -1,0 +1,3 @@
+//! Sentences written from finished documents.
+
+pub mod gap_text;
