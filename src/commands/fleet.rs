@@ -38,7 +38,7 @@ impl Summary {
     /// Takes one answer.
     pub(super) fn add(&mut self, answer: &Answer) {
         let a = &answer.document.assessment;
-        let told = stiction::core::verdict::answer::Answer::of(a);
+        let told = stiction::words::answer::Answer::of(a);
         self.rows.push(Row {
             name: answer.document.loop_name.clone(),
             verdict: a.verdict.name(),

@@ -4,8 +4,8 @@ use maud::{Markup, html};
 
 use super::Report;
 use stiction::core::units::{duration, number, probability};
-use stiction::core::verdict::words::capital;
 use stiction::plantwide::{GroupDocument, headline, of_member};
+use stiction::words::capital;
 
 /// A card for each group; a single card if loops were compared but share no oscillation.
 pub(super) fn cards(report: &Report) -> Markup {

@@ -11,8 +11,9 @@ use super::ink;
 use super::plot::PlotError;
 use super::{LoopReport, Report};
 use stiction::core::units::{duration, from_to, number};
-use stiction::core::verdict::answer::Answer;
-use stiction::core::verdict::{Assessment, Verdict, texts, words};
+use stiction::core::verdict::{Assessment, Verdict, texts};
+use stiction::words;
+use stiction::words::answer::Answer;
 
 /// Renders the page.
 ///

@@ -8,7 +8,7 @@ use super::Report;
 use super::figures::{Figure, Subject, brief, detailed};
 use super::ink::{self, Ink};
 use super::plot::PlotError;
-use stiction::core::verdict::words;
+use stiction::words;
 
 const WIDTH: u32 = 1120;
 const GAP: u32 = 20;

@@ -7,10 +7,10 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use stiction::core::units::{ms_from_ns, probability};
-use stiction::core::verdict::action::{Action, Confirm, what_to_do};
-use stiction::core::verdict::words::capital;
-use stiction::core::verdict::{Assessment, answer, words};
+use stiction::core::verdict::{Assessment, answer};
 use stiction::repair::Repair;
+use stiction::words::action::{Action, Confirm, what_to_do};
+use stiction::words::{self, capital};
 use stiction_engine::alarm::Priority;
 
 use super::overview::Candidate;

@@ -7,14 +7,15 @@ use std::sync::Arc;
 
 use stiction::core::record::Record;
 use stiction::core::units::FinalElement;
-use stiction::core::verdict::action::what_to_do;
-use stiction::core::verdict::answer::Answer;
 use stiction::core::verdict::rule::{Cuts, Opinion};
 use stiction::core::verdict::{
     AssessParams, Assessment, CountedBy, EstimateDocument, Oscillation, SCREENED, Verdict, Window, assess,
-    for_prevalence, words,
+    for_prevalence,
 };
 use stiction::over_time::{WindowResult, over_time};
+use stiction::words;
+use stiction::words::action::what_to_do;
+use stiction::words::answer::Answer;
 use stiction_engine::alarm::{Alarm, AlarmParams};
 use stiction_engine::status::{Known, LoopStatus};
 use stictiond::runtime::maintenance::rank;

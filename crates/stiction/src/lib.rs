@@ -158,10 +158,10 @@ pub use crate::core::record::Record;
 pub use crate::core::units::LoopKind;
 
 // Verdicts.
-pub use crate::core::verdict::words::{advice, headline};
 pub use crate::core::verdict::{
     AssessParams, Assessment, Controller, EstimateDocument, Gate, Indicator, Oscillation, Process, Verdict, assess,
 };
+pub use crate::words::{advice, headline};
 
 // The fit.
 pub use crate::core::ident::class::Class;

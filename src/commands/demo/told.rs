@@ -8,8 +8,8 @@ use serde_json::Value as Json;
 use crate::cli::{Format, say};
 use stiction::core::units::{duration, format_rfc3339, number};
 use stiction::core::verdict::Verdict;
-use stiction::core::verdict::answer::settled;
 use stiction::simulated::scenario::{Label, LoopSpec, Scenario};
+use stiction::words::answer::settled;
 use stiction_engine::codec::topic::{self, Kind};
 use stiction_engine::config::Config;
 

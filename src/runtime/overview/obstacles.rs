@@ -10,8 +10,9 @@ use super::expected::{Awaited, Expected};
 use super::{Entry, Loops, Overview, SharePoint};
 use stiction::core::people;
 use stiction::core::units::{duration, ms_from_ns};
-use stiction::core::verdict::action::better_data;
-use stiction::core::verdict::{AssessParams, Assessment, Gate, NO_VALVE, Verdict, words};
+use stiction::core::verdict::{AssessParams, Assessment, Gate, NO_VALVE, Verdict};
+use stiction::words;
+use stiction::words::action::better_data;
 
 /// Kind of an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]

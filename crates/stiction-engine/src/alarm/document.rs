@@ -8,9 +8,10 @@ use stiction::core::ident::region::Size;
 use super::{Priority, State};
 use crate::hash::short_hash;
 use stiction::core::units::format_rfc3339;
-use stiction::core::verdict::action::Action;
+use stiction::core::verdict::Assessment;
 use stiction::core::verdict::answer::{self, Scale};
-use stiction::core::verdict::{Assessment, words};
+use stiction::words;
+use stiction::words::action::Action;
 
 /// Schema name of an alarm.
 pub const ALARM_SCHEMA: &str = "stictiond.alarm.v2";

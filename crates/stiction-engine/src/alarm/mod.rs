@@ -21,9 +21,10 @@ pub use why::why_not_active;
 use crate::status::Sign;
 use document::{Occurrence, event_id, occurrence_id};
 use stiction::core::units::{format_rfc3339, probability};
-use stiction::core::verdict::action::Action;
 use stiction::core::verdict::answer::Scale;
-use stiction::core::verdict::{Assessment, NO_VALVE, words};
+use stiction::core::verdict::{Assessment, NO_VALVE};
+use stiction::words;
+use stiction::words::action::Action;
 
 /// s counts towards clearing below this fraction of the limit.
 const CLEAR_SHARE: f64 = 0.8;

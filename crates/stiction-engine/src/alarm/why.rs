@@ -2,7 +2,8 @@
 
 use super::{AlarmParams, Evidence, no_alarm, s_limit};
 use stiction::core::people::size;
-use stiction::core::verdict::{Assessment, words};
+use stiction::core::verdict::Assessment;
+use stiction::words;
 
 /// Most reasons listed.
 const LISTED: usize = 4;

@@ -2,10 +2,11 @@
 
 use super::Answer;
 use stiction::core::units::{self, duration, optional as number, significant};
-use stiction::core::verdict::action::Action;
 use stiction::core::verdict::answer::{self, Scale};
-use stiction::core::verdict::{Assessment, EstimateDocument, Gate, Process, words};
+use stiction::core::verdict::{Assessment, EstimateDocument, Gate, Process};
 use stiction::plantwide;
+use stiction::words;
+use stiction::words::action::Action;
 
 /// Rows of text with a name and a value; the name is omitted where it repeats.
 struct Rows(Vec<String>);

@@ -6,8 +6,10 @@ mod plant;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::{AlarmDocument, State, no_alarm};
-use stiction::core::verdict::answer::{Answer, Standing, settled};
-use stiction::core::verdict::{Assessment, Gate, NO_VALVE, Verdict, texts, words};
+use stiction::core::verdict::answer::Standing;
+use stiction::core::verdict::{Assessment, Gate, NO_VALVE, Verdict, texts};
+use stiction::words;
+use stiction::words::answer::{Answer, settled};
 
 pub use plant::{Headline, InPlant, Mood};
 

@@ -8,7 +8,7 @@ use stiction::core::guard::{PV_SPANS, SHIFT_S};
 use stiction::core::record::Record;
 use stiction::core::verdict::Assessment;
 use stiction::core::verdict::bump_test::bump_test;
-use stiction::core::verdict::words;
+use stiction::words;
 
 /// Implausible properties of an answer, by limits wider than the program's own and independent of its table.
 fn nonsense(a: &Assessment, record: &Record, kind: &str) -> Vec<String> {

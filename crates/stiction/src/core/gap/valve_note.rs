@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::core::verdict::bump_test::{self, Refusal};
-use crate::core::verdict::{Assessment, ValvePosition, answer, words};
+use crate::core::verdict::headline::headline;
+use crate::core::verdict::{Assessment, ValvePosition, answer};
 
 /// The valve of a diagnosed record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,7 +38,7 @@ impl ValveNote {
         let sticks = a.stiction == Some(true);
         let refusal = || bump_test::bump_test(a).err().filter(|why| *why != Refusal::NoSize);
         Self {
-            sentence: words::headline(a),
+            sentence: headline(a),
             sticks: a.stiction,
             p_stiction: a.p_stiction,
             s: a.s.filter(|_| sticks),

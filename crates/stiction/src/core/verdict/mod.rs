@@ -1,6 +1,5 @@
 //! Judgement on one window: validity checks, fit, verdict, grade.
 
-pub mod action;
 pub mod answer;
 mod assess;
 pub mod bump_test;
@@ -12,6 +11,7 @@ mod excursion;
 pub mod features;
 mod gates;
 mod group;
+pub mod headline;
 mod judgement;
 mod params;
 pub(crate) mod plausible;
@@ -23,7 +23,6 @@ pub mod swapped;
 pub mod tally;
 pub mod texts;
 mod valve_position;
-pub mod words;
 
 pub use crate::core::detect::Indicator;
 pub use crate::core::ident::{DelayChoice, ModelChoice, ValveChoice};

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::answer::{Scale, Standing};
-use super::bump_test::{self, BumpTest, Refusal};
-use super::{Assessment, NO_VALVE, SCREENED, ValvePosition, Verdict, texts};
+use crate::core::verdict::answer::{Scale, Standing};
+use crate::core::verdict::bump_test::{self, BumpTest, Refusal};
+use crate::core::verdict::{Assessment, NO_VALVE, SCREENED, ValvePosition, Verdict, texts};
 
 /// How to confirm the band.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
