@@ -134,8 +134,8 @@
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
-// The science behind the items below, for the programs of this repository: its items change without notice. `core` judges one
-// loop; it uses nothing of what lies beside it.
+// What is behind the items below, for the programs of this repository: it changes without notice. `core` judges one loop, by one
+// record; it uses nothing of what lies beside it.
 #[doc(hidden)]
 pub mod core;
 #[doc(hidden)]
