@@ -473,10 +473,8 @@ fn behind(command: &str) -> &'static [&'static str] {
 }
 
 /// Stored output of earlier builds, which pages may quote as such, and the cost of repeating it.
-const OLDER: [(&str, &str); 2] = [
-    ("stiction-lab calibrate --intervals 600 --seed 33000", "28,800 loops, some hours of two cores"),
-    ("stiction-lab challenge score b20", "932 loops with a search each, some hours of two cores"),
-];
+const OLDER: [(&str, &str); 1] =
+    [("stiction-lab calibrate --intervals 600 --seed 33000", "28,800 loops, some hours of two cores")];
 
 /// The hash of a calibration in a line of provenance.
 fn hash_of<'a>(line: &'a str, calibration: &str) -> Option<&'a str> {
