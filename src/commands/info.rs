@@ -13,7 +13,7 @@ use stiction_engine::analysis::{repeated_timestamps, repeated_values};
 use stiction_engine::codec;
 use stiction_engine::codec::topic::{Leaf, Topic};
 use stiction_files::inputs::Unit;
-use stiction_files::{End, InputKind, Item, METADATA_PREFIX, Message, ReadError, RecordingReader};
+use stiction_files::{End, InputKind, Item, METADATA_PREFIX, Message, ReadError, RecordingReader, foreign};
 
 /// Most timestamps used to find the sampling time.
 const STAMPS: usize = 4096;
@@ -281,12 +281,15 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
     let prefix = reader.metadata().get(METADATA_PREFIX).cloned();
     let mut places: HashMap<u16, Counted> = HashMap::new();
     let mut names = HashMap::new();
-    let mut samples = Vec::new();
+    let (mut samples, mut stranger) = (Vec::new(), None);
     while let Some(item) = reader.next_item()? {
         let (id, channel) = item.channel();
         let place =
             *places.entry(id).or_insert_with(|| place_of(prefix.as_deref(), &channel.topic, &mut info, &mut names));
         info.messages += 1;
+        if info.loops.is_empty() && info.results.is_empty() {
+            stranger = stranger.or_else(|| foreign(prefix.as_deref(), channel));
+        }
         match (item, place) {
             (Item::Sample(raw), Counted::Raw(at, _)) => info.loops[at].take(&raw.sample),
             (Item::Sample(_), _) => info.other_messages += 1,
@@ -306,8 +309,10 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
     }
     info.metadata = reader.metadata().clone();
     info.close();
-    if let (Some(first), true) = (&info.first_unreadable, info.loops.iter().all(|one| one.signals.is_empty())) {
-        return Err(ReadError::Nothing { path: path.to_owned(), first: first.clone() }.into());
+    let nothing = info.loops.iter().all(|one| one.signals.is_empty());
+    let stranger = stranger.filter(|_| info.loops.is_empty() && info.results.is_empty());
+    if let Some(first) = info.first_unreadable.clone().filter(|_| nothing).or(stranger) {
+        return Err(ReadError::Nothing { path: path.to_owned(), first }.into());
     }
     let samples: u64 = info.loops.iter().flat_map(|one| one.signals.values()).map(|counts| counts.samples).sum();
     info.bytes_per_sample = (samples > 0).then(|| (info.bytes as f64 / samples as f64 * 10.0).round() / 10.0);

@@ -22,6 +22,7 @@ mod elsewhere;
 mod expectations;
 mod exports;
 mod failover;
+mod foreign;
 mod generated;
 mod golden;
 mod judged;

@@ -381,7 +381,12 @@ fn load_recording(path: &Path) -> Result<Loaded, FileError> {
     let mut scratch = Vec::new();
     let (mut unreadable, mut first_fault) = (0_u64, String::new());
     while let Some(item) = reader.next_item()? {
-        let Some((at, signal)) = loops.place(prefix.as_deref(), item.channel()) else { continue };
+        let Some((at, signal)) = loops.place(prefix.as_deref(), item.channel()) else {
+            if loops.loops.is_empty() && first_fault.is_empty() {
+                first_fault = foreign(prefix.as_deref(), item.channel().1).unwrap_or_default();
+            }
+            continue;
+        };
         let message = match item {
             Item::Message(message) => message,
             Item::Sample(raw) => {
@@ -394,10 +399,10 @@ fn load_recording(path: &Path) -> Result<Loaded, FileError> {
         match codec::decode(signal, message.data, Some(&message.channel.encoding), None, own_time, &mut scratch) {
             Ok(_) => loops.loops[at].samples.extend_from_slice(&scratch),
             Err(error) => {
-                unreadable += 1;
-                if first_fault.is_empty() {
+                if unreadable == 0 {
                     first_fault = format!("{}: {error}", message.topic());
                 }
+                unreadable += 1;
             }
         }
     }
@@ -406,7 +411,7 @@ fn load_recording(path: &Path) -> Result<Loaded, FileError> {
         warnings.push(format!("skipped {unreadable} unreadable messages, the first: {first_fault}"));
     }
     let end = reader.end().cloned().unwrap_or(End::Clean);
-    if unreadable > 0 && loops.loops.iter().all(|one| one.samples.is_empty()) {
+    if !first_fault.is_empty() && loops.loops.iter().all(|one| one.samples.is_empty()) {
         return Err(ReadError::Nothing { path: path.to_owned(), first: first_fault }.into());
     }
     if let Some(units) = reader.metadata().get(METADATA_UNITS) {
@@ -426,6 +431,15 @@ fn load_recording(path: &Path) -> Result<Loaded, FileError> {
         data_loss: !end.is_clean(),
         metadata: reader.metadata().clone(),
     })
+}
+
+/// What is wrong with a channel that is none of this program's.
+#[must_use]
+pub fn foreign(prefix: Option<&str>, channel: &Channel) -> Option<String> {
+    let (topic, encoding) = (&channel.topic, &channel.encoding);
+    let is_own = topic.contains("@stiction/") || Topic::parse(prefix, topic).is_some();
+    (!is_own)
+        .then(|| format!("{topic}, encoding {encoding:?}: the topic does not end in a signal (op, pv, sp, mode, mv)"))
 }
 
 /// Loop and signal of each channel; each topic is parsed once.

@@ -110,7 +110,7 @@ pub struct Channel {
     pub topic: String,
     /// Kind of its messages, if their schema is one of this program.
     pub kind: Option<Kind>,
-    /// Encoding of its messages, `json` in the program's own files.
+    /// Encoding of its messages, `json` in the program's own files; that of their schema if they name none.
     pub encoding: String,
 }
 
@@ -154,7 +154,8 @@ struct Entry {
 /// Sums over the records of a file.
 #[derive(Default)]
 struct Contents {
-    schemas: BTreeMap<u16, String>,
+    /// Names and encodings of schemas.
+    schemas: BTreeMap<u16, (String, String)>,
     channels: BTreeMap<u16, Arc<Channel>>,
     metadata: BTreeMap<String, String>,
     library: String,
@@ -513,11 +514,18 @@ impl Contents {
         match parse_record(opcode, data)? {
             Record::Header(header) => self.library = header.library,
             Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name);
+                self.schemas.insert(header.id, (header.name, header.encoding));
             }
             Record::Channel(channel) => {
-                let kind = self.schemas.get(&channel.schema_id).and_then(|name| schemas::kind_of(name));
-                let known = Channel { topic: channel.topic, kind, encoding: channel.message_encoding };
+                let schema = self.schemas.get(&channel.schema_id);
+                let kind = schema.and_then(|(name, _)| schemas::kind_of(name));
+                // Where the messages' encoding is left out, that of their schema names it.
+                let encoding = match (channel.message_encoding, schema) {
+                    (empty, Some((_, of_schema))) if empty.is_empty() => of_schema.clone(),
+                    (named, _) => named,
+                };
+                let encoding = if encoding == "jsonschema" { "json".to_owned() } else { encoding };
+                let known = Channel { topic: channel.topic, kind, encoding };
                 match self.channels.get(&channel.id) {
                     // Its schema may have stood in a damaged chunk.
                     Some(old) if known.kind.is_none() && old.topic == known.topic => {}
