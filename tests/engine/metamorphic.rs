@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use stiction::core::record::Record;
+use stiction::core::record::{Record, Sample, Signal, Value};
 use stiction::core::units::{ns_from_s, s_from_ns};
 use stiction::core::verdict::{AssessParams, Assessment, Gate, assess};
 use stiction::simulated::scenario::Scenario;
@@ -122,6 +122,35 @@ fn rows_that_repeat_a_value_are_no_samples() {
     let density = found.oscillation.samples_per_period.unwrap();
     assert!((density - 6.13).abs() < 0.2, "{density}");
     assert_eq!(Record::uniform(1.0, pv(1), pv(1)).held, 1);
+}
+
+/// As above in a record so long that it is judged in bins: the values are counted before they are averaged.
+#[test]
+fn rows_that_repeat_a_value_are_no_samples_in_bins_either() {
+    let wave = |k: usize, phase: f64| 3.0 * (std::f64::consts::TAU * (k as f64 / 245.0 + phase)).sin();
+    let judged_with = |held_rows: usize| {
+        let sample = |k: usize, signal, v| Sample {
+            signal,
+            t_ns: k as i64 * 1_000_000_000,
+            value: Value::number(v),
+            quality: None,
+        };
+        let row = |k: usize| {
+            let pv = 20.0 + wave(k / held_rows * held_rows, 0.2);
+            [sample(k, Signal::Op, 50.0 + wave(k, 0.0)), sample(k, Signal::Pv, pv)]
+        };
+        let samples: Vec<Sample> = (0..16_000).flat_map(row).collect();
+        let points = Points::of("L", &samples, &Config::with_prefix("p"));
+        let record = points.judgeable().unwrap().0.record;
+        assert!(record.box_samples > 1, "{}", record.box_samples);
+        judged(&record)
+    };
+    for (held_rows, is_slow) in [(40, true), (5, false)] {
+        let found = judged_with(held_rows);
+        assert_eq!(found.gates.contains(&Gate::RateTooLow), is_slow, "{held_rows}: {:?}", found.gates);
+        let density = found.oscillation.samples_per_period.unwrap();
+        assert!((density * held_rows as f64 / 245.0 - 1.0).abs() < 0.05, "{held_rows}: {density}");
+    }
 }
 
 #[test]
