@@ -123,8 +123,15 @@ fn command_with_option(error: &anyhow::Error) -> String {
         true => format!("'{}'", word.replace('\'', "'\\''")),
         false => word,
     };
-    let words: Vec<String> = std::env::args().skip(1).map(quoted).collect();
-    flags.map_or_else(String::new, |flags| format!("; for example: stictiond {} {flags}", words.join(" ")))
+    let Some(flags) = flags else { return String::new() };
+    // An option that was given gives way.
+    let name = flags.split([' ', '=']).next().unwrap_or_default();
+    let mut words: Vec<String> = std::env::args().skip(1).collect();
+    if let Some(at) = words.iter().position(|word| word.split('=').next() == Some(name)) {
+        words.drain(at..(at + if words[at].contains('=') { 1 } else { 2 }).min(words.len()));
+    }
+    let words: Vec<String> = words.into_iter().map(quoted).collect();
+    format!("; for example: stictiond {} {flags}", words.join(" "))
 }
 
 /// An error and its causes, without a cause that the text already contains.

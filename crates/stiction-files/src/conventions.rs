@@ -29,34 +29,26 @@ pub(crate) const SIGNS: &str = "-|--|---|?|\\n";
 
 pub(crate) const STARTS: &str = "1.#|-1.#|bad|[-|#n/|#value|#div|#ref|#num";
 
-/// Numbers that loggers and archives write in place of a value, and the least of those that are no value of any signal.
-pub(crate) const SENTINELS: [f64; 27] = [
-    -99.99,
-    -999.0,
-    -999.25,
-    -999.99,
-    -8888.0,
-    -9999.0,
-    -9999.25,
-    -9999.9,
-    -9999.99,
-    -99_999.0,
-    -999_999.0,
-    -9_999_999.0,
+/// Numbers that loggers and archives write in place of a value, with either sign but for the first, which is negative; and the
+/// least of those that are no value of any signal.
+pub(crate) const SENTINELS: [f64; 18] = [
+    99.99,
     999.0,
+    999.25,
     999.99,
     8888.0,
     9999.0,
+    9999.25,
     9999.9,
     9999.99,
+    32_767.0,
+    32_768.0,
+    65_535.0,
     99_999.0,
     999_999.0,
     9_999_999.0,
-    -32_768.0,
-    32_767.0,
-    65_535.0,
     2_147_483_647.0,
-    -2_147_483_648.0,
+    2_147_483_648.0,
     4_294_967_295.0,
 ];
 pub(crate) const NO_VALUE: f64 = 1e30;
@@ -108,6 +100,10 @@ pub(crate) const TAGS: &str = "tag|tagname|tag name|tag id|name|point|pointname|
     signal name|variable|sensor|series|data point|field";
 pub(crate) const HEADS: &str = "value|val|wert|valeur|valor|reading|numeric value|value num|value double|vvalue|pvalue|data|data value|\
     messwert";
+
+/// Headings of columns with the unit of the value beside them.
+pub(crate) const UNIT_HEADS: &str = "units|uom|eu|eng unit|eng units|engunits|engineering unit|engineering units|einheit|unité|unidad|\
+    value unit|unit of measure";
 
 /// Headings of columns with qualities, and with flags that are set where a value is bad.
 pub(crate) const QUALITIES: &str = "quality|qual|status|confidence|qualität|statuscode|opcquality|isgood|isvalid|valid|qualité|calidad|\
@@ -200,6 +196,29 @@ pub(crate) const WINDOWS: [(&str, &str); 14] = [
     ("India Standard Time", "Asia/Kolkata"),
     ("AUS Eastern Standard Time", "Australia/Sydney"),
 ];
+
+/// Names of regions that leave open whether clocks are moved in summer, with a zone where they are.
+pub(crate) const REGIONS: [(&str, &str); 14] = [
+    ("Central European Time", "Europe/Berlin"),
+    ("Central European Summer Time", "Europe/Berlin"),
+    ("Mitteleuropäische Zeit", "Europe/Berlin"),
+    ("Mitteleuropäische Sommerzeit", "Europe/Berlin"),
+    ("Eastern European Time", "Europe/Helsinki"),
+    ("Western European Time", "Europe/Lisbon"),
+    ("Greenwich Mean Time", "Europe/London"),
+    ("British Summer Time", "Europe/London"),
+    ("British Time", "Europe/London"),
+    ("Eastern Time", "America/New_York"),
+    ("Eastern Daylight Time", "America/New_York"),
+    ("Central Time", "America/Chicago"),
+    ("Mountain Time", "America/Denver"),
+    ("Pacific Time", "America/Los_Angeles"),
+];
+
+/// Words in brackets behind a time that name no zone.
+pub(crate) const NO_ZONES: &str = "local|local time|server|server time|plant|plant time|site|source|device|logger|sample|start|end|\
+    event|elapsed|relative|excel|serial|datenum|epoch|unix|unix time|posix|ticks|filetime|iso|text|date|datetime|index|lokal|\
+    ortszeit|ortszeit lokal|yyyymmdd";
 
 /// Letters that times carry, with their hours from UTC. Several zones share some of them, so they never give a zone, but
 /// they must agree with the one that is given.

@@ -4,6 +4,15 @@ use clap::ValueEnum;
 
 use crate::conventions::{MISSING, NO_VALUE, SENTINELS, SIGNS, STARTS, UNITS, is_one_of};
 
+/// A number that is more than this many times as large as all others in its column is none of them.
+const FAR: f64 = 4.0;
+/// Numbers up to this may be any percentage.
+const LARGEST_PERCENT: f64 = 100.0;
+/// Most such numbers in a column: one for each reason.
+const MOST_GIANTS: usize = 2;
+/// Fewer changes of value are those of a set point.
+const FEW: usize = 20;
+
 /// Decimal separator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Decimal {
@@ -24,9 +33,41 @@ pub(super) enum Hint {
     Either(Decimal),
 }
 
-/// A number that loggers write for a missing value, in a column whose other values, if it has any, are far from it.
+/// A number in place of a missing value: one that loggers are known to write, in a column whose other values, if it has any,
+/// are far from it; or any that comes again and is more than [`FAR`] times as large as every other value.
 pub(super) fn sentinel(values: impl Iterator<Item = f64> + Clone) -> Option<f64> {
-    let is = |v: f64| v.abs() >= NO_VALUE || SENTINELS.iter().any(|s| (v - s).abs() <= 1e-6 * s.abs());
+    known_sentinel(values.clone()).or_else(|| lone_giant(values))
+}
+
+/// The smallest of at most [`MOST_GIANTS`] numbers that come again and are far larger than all others.
+fn lone_giant(values: impl Iterator<Item = f64>) -> Option<f64> {
+    // The largest numbers with their counts, the largest first; and how many numbers differ from the one before.
+    let (mut largest, mut changes, mut before) = (Vec::<(f64, usize)>::new(), 0, f64::NAN);
+    for v in values {
+        changes += usize::from(v != before);
+        before = v;
+        match largest.iter_mut().find(|(known, _)| *known == v) {
+            Some((_, count)) => *count += 1,
+            None => {
+                let at = largest.partition_point(|(known, _)| known.abs() >= v.abs());
+                if at <= MOST_GIANTS {
+                    largest.insert(at, (v, 1));
+                    largest.truncate(MOST_GIANTS + 1);
+                }
+            }
+        }
+    }
+    let at = largest.windows(2).position(|w| w[0].0.abs() > FAR * w[1].0.abs().max(LARGEST_PERCENT / FAR))?;
+    let giants = &largest[..=at];
+    let count: usize = giants.iter().map(|(_, count)| count).sum();
+    // A signal of few values may have any; each giant makes two changes.
+    (giants.iter().all(|(_, count)| *count > 1) && changes > 2 * count + FEW).then_some(giants[at].0)
+}
+
+fn known_sentinel(values: impl Iterator<Item = f64> + Clone) -> Option<f64> {
+    let of_sign = |v: f64| !(0.0..=LARGEST_PERCENT).contains(&v);
+    let known = |v: f64| of_sign(v) && SENTINELS.iter().any(|s| (v.abs() - s).abs() <= 1e-6 * s);
+    let is = |v: f64| v.abs() >= NO_VALUE || known(v);
     let found = values.clone().find(|v| is(*v))?;
     let (low, high) =
         values.filter(|v| !is(*v)).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
@@ -58,11 +99,25 @@ pub(super) fn with_unit(text: &str) -> (&str, Option<&str>) {
     let starts = (1..=number).rev().filter(|at| text.is_char_boundary(*at) && text.as_bytes()[at - 1].is_ascii_digit());
     for at in starts {
         let unit = text[at..].trim();
-        if is_one_of(&unit.to_lowercase(), UNITS) {
+        if is_unit(unit) {
             return (&text[..at], Some(unit));
         }
     }
     (text, None)
+}
+
+/// Whether a text is a unit of a signal.
+pub(super) fn is_unit(text: &str) -> bool {
+    is_one_of(&text.to_lowercase(), UNITS)
+}
+
+/// Whether two texts are the same unit: `°C` is `degC`, `m³/hr` is `m3/h`.
+pub(super) fn same_unit(one: &str, other: &str) -> bool {
+    let plain = |unit: &str| {
+        let unit = unit.to_lowercase().replace('°', "deg").replace('³', "3").replace("hr", "h");
+        unit.chars().filter(|c| !c.is_whitespace()).collect::<String>()
+    };
+    one == other || plain(one) == plain(other)
 }
 
 /// Strips spaces of all widths, apostrophes between thousands and a per cent sign from a number.
@@ -214,6 +269,27 @@ mod tests {
         assert_eq!(found(&[998.5, 999.0, 1002.0]), None);
         assert_eq!(found(&[1.0, 2.0, 3.0]), None);
         assert_eq!((found(&[-9999.0]), found(&[999.0])), (Some(-9999.0), None));
+        assert_eq!((found(&[-99.99, 1.0, 40.0]), found(&[99.99, 1.0, 40.0])), (Some(-99.99), None));
+        // Any number, if it comes again and none is near it: not a set point, a switch, or a start from a still.
+        let wave = |at: f64, step: f64| (0..90).map(move |k| at + step * f64::from(k % 11));
+        let with = |wave: Vec<f64>, others: &[f64]| {
+            let mut all = wave;
+            others.iter().for_each(|v| all.extend([*v; 3]));
+            found(&all)
+        };
+        for (others, told) in [
+            (&[6999.0][..], Some(6999.0)),
+            (&[1e10], Some(1e10)),
+            (&[-6999.0, 7000.0], Some(-6999.0)),
+            (&[0.0], None),
+            (&[3000.0, 3100.0, 3200.0], None),
+        ] {
+            assert_eq!(with(wave(900.0, 10.0).collect(), others), told, "{others:?}");
+        }
+        assert_eq!((with(wave(0.0, 0.5).collect(), &[100.0]), with([0.0, 500.0].repeat(40), &[0.0])), (None, None));
+        assert_eq!(with([vec![5.0; 50], vec![8.0; 50]].concat(), &[700.0]), None);
+        let once: Vec<f64> = wave(900.0, 10.0).chain([6999.0]).collect();
+        assert_eq!(found(&once), None);
     }
 
     proptest! {

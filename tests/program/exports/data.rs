@@ -107,6 +107,11 @@ pub enum XlsxCell {
 
 /// A minimal workbook: a zip archive without compression.
 pub fn xlsx(rows: &[Vec<XlsxCell>]) -> Vec<u8> {
+    workbook(rows, "")
+}
+
+/// A workbook with properties of its own, such as `<workbookPr date1904="1"/>`.
+pub fn workbook(rows: &[Vec<XlsxCell>], properties: &str) -> Vec<u8> {
     let mut sheet =
         String::from(r#"<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"><sheetData>"#);
     for (r, row) in rows.iter().enumerate() {
@@ -142,7 +147,7 @@ pub fn xlsx(rows: &[Vec<XlsxCell>]) -> Vec<u8> {
         (
             "xl/workbook.xml",
             format!(
-                r#"{head}<workbook xmlns="{main}" xmlns:r="{office}"><sheets><sheet name="Data" sheetId="1" r:id="r1"/></sheets></workbook>"#
+                r#"{head}<workbook xmlns="{main}" xmlns:r="{office}">{properties}<sheets><sheet name="Data" sheetId="1" r:id="r1"/></sheets></workbook>"#
             ),
         ),
         (

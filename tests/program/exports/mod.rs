@@ -5,6 +5,7 @@
 mod cli;
 mod columnar;
 mod data;
+mod doubts;
 mod shapes;
 
 use std::fs;

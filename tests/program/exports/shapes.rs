@@ -22,14 +22,14 @@ pub struct Shape {
     pub must: Must,
 }
 
-const BERLIN: &[&str] = &["--tz", "Europe/Berlin"];
+pub const BERLIN: &[&str] = &["--tz", "Europe/Berlin"];
 pub const UTC: &[&str] = &["--tz", "UTC"];
 
-fn text(name: &'static str, file: &'static str, text: String, flags: &'static [&'static str], must: Must) -> Shape {
+pub fn text(name: &'static str, file: &'static str, text: String, flags: &'static [&'static str], must: Must) -> Shape {
     Shape { name, files: vec![(file, text.into_bytes())], flags, must }
 }
 
-fn iso(k: usize) -> String {
+pub fn iso(k: usize) -> String {
     utc(k, "%Y-%m-%dT%H:%M:%SZ")
 }
 
@@ -50,7 +50,7 @@ fn shifted(rows: String, day: &str, to: &str) -> String {
     rows.replace(day, to)
 }
 
-fn excel_days(k: usize) -> f64 {
+pub fn excel_days(k: usize) -> f64 {
     t_s(k) as f64 / 86_400.0 + 25_569.0
 }
 
@@ -573,5 +573,5 @@ fn others() -> Vec<Shape> {
 
 /// Every shape, in the order of the page.
 pub fn all() -> Vec<Shape> {
-    [times(), layouts(), others()].into_iter().flatten().collect()
+    [times(), layouts(), others(), super::doubts::doubts()].into_iter().flatten().collect()
 }

@@ -1,5 +1,6 @@
 //! Cells and tables of any file format.
 
+use super::zone::Said;
 use super::{Decimal, ExportError};
 
 /// One cell.
@@ -62,12 +63,22 @@ pub(super) struct Table<'f> {
     pub decimal: Option<Decimal>,
     /// Warnings for the user.
     pub warnings: Vec<String>,
+    /// What the lines above the names say of the zone of the times.
+    pub said: Said,
+    /// Whether day numbers count from 1904.
+    pub since_1904: bool,
 }
 
 /// Most letters of a unit; longer texts are descriptions.
 const LONGEST_UNIT: usize = 12;
 
-impl Table<'_> {
+impl<'f> Table<'f> {
+    /// A table of these rows, of which nothing else is known.
+    pub(super) fn of(rows: Box<dyn Rows + 'f>) -> Self {
+        let (names, units, words, warnings) = Default::default();
+        Self { names, line: 0, rows, units, words, decimal: None, warnings, said: Said::default(), since_1904: false }
+    }
+
     /// The unit of a column: in square brackets after its name, else in the row below the names.
     pub fn unit_of(&self, column: usize) -> Option<String> {
         let bracketed = self.names.get(column).and_then(|name| name.trim().strip_suffix(']')?.rsplit_once('['));

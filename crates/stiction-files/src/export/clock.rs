@@ -4,15 +4,18 @@ use jiff::tz::Offset;
 
 use super::ExportError;
 use super::columns::TimeColumn;
-use super::stamp::{Civil, HOUR_NS, Number, Order, Stamp, local_ns};
+use super::stamp::{HOUR_NS, Number, Order, Stamp, local_ns};
 use super::zone::{Letters, Reading, Zone, in_words};
-use crate::conventions::{BY_SIZE, DATENUM_1970, EXCEL_1904_1970, NET_1970, NUMBERS, unit_of_time};
+use crate::conventions::{BY_SIZE, DATENUM_1970, EXCEL_1904_1970, EXCEL_1970, NET_1970, NUMBERS, unit_of_time};
 use stiction::core::units::{NS_PER_S, format_rfc3339, s_from_ns};
 
 /// Earliest year accepted without an option.
 const FIRST_YEAR: i64 = 1990;
 /// Seconds from 1970 to 1990.
 const FIRST_S: i64 = 631_152_000;
+/// Numbers whose unit is not said are times of the last years, s before the end of next year: seconds since 1980 give dates
+/// that are ten years too early, and seconds since 2001 earlier ones.
+const LATE_S: i64 = 11 * 31_557_600;
 /// Seconds in a day.
 const DAY_S: i64 = 86_400;
 /// Resolution of day numbers, which are fractions of a day; finer steps are rounding errors.
@@ -210,27 +213,31 @@ impl Axis {
         }
     }
 
-    /// The unit in the column's name, else the one for which every number is between 1990 and the end of next year.
+    /// The unit in the column's name, else the one for which every number is a time of the last years.
     fn form_of_numbers(&self, end_s: i64) -> Result<TimeFormat, ExportError> {
-        let numbers = self.stamps.iter().enumerate().map(|(row, stamp)| match stamp {
-            Stamp::Number(number) => Ok(*number),
-            _ => Err(self.mixed(row)),
-        });
-        let numbers: Vec<Number> = numbers.collect::<Result<_, _>>()?;
-        let seconds = |form: &TimeFormat, n: &Number| form.of_number(*n).map(|clock| clock.ns.div_euclid(NS_PER_S));
+        if let Some(row) = self.stamps.iter().position(|stamp| !matches!(stamp, Stamp::Number(_))) {
+            return Err(self.mixed(row));
+        }
+        let numbers =
+            || self.stamps.iter().filter_map(|s| if let Stamp::Number(number) = s { Some(*number) } else { None });
+        let seconds = |form: &TimeFormat, n: Number| form.of_number(n).map(|clock| clock.ns.div_euclid(NS_PER_S));
         let outside = |form: &TimeFormat, from_s: i64| {
-            numbers.iter().position(|n| seconds(form, n).is_none_or(|s| !(from_s..end_s).contains(&s)))
+            numbers().position(|n| seconds(form, n).is_none_or(|s| !(from_s..end_s).contains(&s)))
         };
-        let mut steps: Vec<f64> = numbers.windows(2).map(|w| (w[1].value - w[0].value).abs()).collect();
+        let value = |row: usize| numbers().nth(row).map_or(0.0, |number| number.value);
+        let mut steps: Vec<f64> = numbers().zip(numbers().skip(1)).map(|(a, b)| (b.value - a.value).abs()).collect();
         steps.retain(|step| *step > 0.0);
         // Whole days are not the sampling of a loop, but seconds of a long record.
         let is_days = steps.is_empty() || *median(&mut steps) < LONGEST_DAYS;
-        let all = NUMBERS[..BY_SIZE].iter().map(|(_, form)| form);
+        let days = TimeFormat::Days(EXCEL_1904_1970);
+        let is_1900 = |form: &TimeFormat| *form == TimeFormat::Days(EXCEL_1970);
+        let own = |form| if self.column.since_1904 && is_1900(form) { &days } else { form };
+        let all = NUMBERS[..BY_SIZE].iter().map(|(_, form)| own(form));
         let fits: Vec<&TimeFormat> = all
             .clone()
             .filter(|form| (is_days || !matches!(form, TimeFormat::Days(_))) && outside(form, FIRST_S).is_none())
             .collect();
-        let (name, first) = (&self.column.name, numbers[0].value);
+        let (name, first) = (&self.column.name, value(0));
         let two = |what: String, one: &TimeFormat, other: &TimeFormat| {
             let remedy = format!("use --time-format {} or --time-format {}", one.word(), other.word());
             Err(self.fault(0, format!("{name:?} contains {first}, {what}"), &remedy))
@@ -240,21 +247,30 @@ impl Axis {
             let counted = fits.iter().all(|form| matches!(form, TimeFormat::Days(_)));
             (self.column.is_t && counted).then_some(&count)
         });
+        let mut late = fits.iter().copied().filter(|form| outside(form, end_s - LATE_S).is_none());
+        let sole = late.next().filter(|_| late.next().is_none());
         match (by_name, &fits[..]) {
-            (Some(unit), [other, ..]) if !fits.contains(&unit) => {
+            (Some(unit), [first, ..]) if !fits.contains(&unit) => {
+                let other = sole.unwrap_or(first);
                 two(format!("a time of today in {}, not in {}", other.words(), unit.word()), other, unit)
             }
             (Some(unit), _) => outside(unit, i64::MIN).map_or(Ok(unit.clone()), |row| {
-                let what = format!("{name:?} contains {}, in {} later than next year", numbers[row].value, unit.word());
+                let what = format!("{name:?} contains {}, in {} later than next year", value(row), unit.word());
                 Err(self.fault(row, what, "give the format: --time-format s, ms, us, ns or ticks"))
             }),
-            (None, [one]) => Ok((*one).clone()),
+            (None, [one]) if sole.is_some() || self.column.is_t => Ok((*one).clone()),
+            (None, [one]) => {
+                let row = outside(one, end_s - LATE_S).unwrap_or(0);
+                let year = numbers().nth(row).and_then(|n| seconds(one, n)).map_or(0, |s| 1970 + s / 31_556_952);
+                let what = format!("{name:?} contains {}, in {} a time of {year}", value(row), one.words());
+                Err(self.fault(row, what, &format!("use --time-format {} if that is right", one.word())))
+            }
             (None, [one, other, ..]) => two(format!("which may be {} or {}", one.words(), other.words()), other, one),
             (None, []) => {
                 let row = all.filter_map(|form| outside(form, FIRST_S)).max().unwrap_or(0);
                 let what = format!(
                     "{name:?} contains {}, which is not a time between {FIRST_YEAR} and next year in s, ms, us, ns, ticks, Excel or MATLAB days",
-                    numbers[row].value
+                    value(row)
                 );
                 let remedy =
                     "give the format: --time-format s (from any start), ms, min, h, excel, datenum, or a pattern";
@@ -266,7 +282,6 @@ impl Axis {
     /// The order of day, month and year that fits all rows.
     fn form_of_dates(&self, end_s: i64) -> Result<(Order, &'static str), ExportError> {
         let mut left: Vec<Order> = Order::ALL.to_vec();
-        let mut civils: Vec<Civil> = Vec::new();
         for (row, stamp) in self.stamps.iter().enumerate() {
             let civil = match stamp {
                 Stamp::Civil(civil) => civil,
@@ -274,15 +289,16 @@ impl Axis {
                 // Typed dates have one reading.
                 Stamp::Local(_) | Stamp::Instant(_) => continue,
             };
-            let words: Vec<&str> = left.iter().map(|order| order.word()).collect();
-            left.retain(|order| civil.local_ns(*order).is_some());
-            if left.is_empty() {
+            if left.iter().all(|order| civil.local_ns(*order).is_none()) {
+                let words: Vec<&str> = left.iter().map(|order| order.word()).collect();
                 let text = format!("this date cannot be {} like those from line {}", words.join(" or "), self.lines[0]);
                 return Err(self.fault(row, text, "correct it, or give the format with --time-format"));
             }
-            civils.push(*civil);
+            left.retain(|order| civil.local_ns(*order).is_some());
         }
-        let ns = |order: Order| civils.iter().filter_map(move |civil| civil.local_ns(order));
+        let civils =
+            || self.stamps.iter().filter_map(|s| if let Stamp::Civil(civil) = s { Some(*civil) } else { None });
+        let ns = |order: Order| civils().filter_map(move |civil| civil.local_ns(order));
         let believed = |order: &Order| ns(*order).all(|ns| (FIRST_S..end_s).contains(&ns.div_euclid(NS_PER_S)));
         // Day and month in the wrong order leap by a month at midnight.
         let runs_on = |order: &Order| ns(*order).zip(ns(*order).skip(1)).all(|(a, b)| (b - a).abs() <= HOUR_NS);
@@ -298,14 +314,14 @@ impl Axis {
         }
         if !told(&left) {
             let reading = |order: &Order| {
-                let day = civils[0].local_ns(*order).map(format_rfc3339).unwrap_or_default();
+                let day = ns(*order).next().map(format_rfc3339).unwrap_or_default();
                 format!("{} (--time-format {})", day.get(..10).unwrap_or_default(), order.word())
             };
             let readings: Vec<String> = left.iter().map(reading).collect();
             let text = format!("this date may be {}, and no row of the file decides", readings.join(" or "));
             return Err(self.fault(0, text, "choose with --time-format"));
         }
-        let named = civils.iter().any(|civil| civil.named);
+        let named = civils().any(|civil| civil.named);
         Ok((
             left[0],
             if named {
@@ -351,24 +367,34 @@ impl Axis {
         Ok(clocks)
     }
 
-    /// The zone of local times: as asked, which must be that of the column's name.
+    /// The zone of local times: as asked, which must be the one that the file names.
     fn zone<'a>(&'a self, row: usize, first: Clock, asked: TimeOptions<'a>) -> Result<&'a Zone, ExportError> {
-        let name = &self.column.name;
-        match (asked.zone, &self.column.zone) {
+        let (name, said) = (&self.column.name, &self.column.said);
+        match (asked.zone, &said.zone) {
             (Some(zone), Some(named)) if !zone.agrees(named) => {
-                let text = format!("the heading {name:?} names {}, --tz gives {}", named.name(), zone.name());
-                Err(self.fault(row, text, &format!("leave --tz out, or give --tz {}", named.name())))
+                let text = format!("{} names {}, --tz gives {}", said.place, named.name(), zone.name());
+                Err(self.fault(row, text, &format!("give --tz {}, or correct what the file says", named.option())))
             }
-            (Some(zone), _) | (None, Some(zone)) => Ok(zone),
-            (None, None) => {
+            (Some(zone), _) if said.unknown.is_none() || self.column.chosen => Ok(zone),
+            (None, Some(zone)) if !zone.is_either() => Ok(zone),
+            (Some(zone), _) => {
+                let named = said.unknown.as_deref().unwrap_or_default();
+                let text = format!("{} names {named:?}, which is no time zone that is known", said.place);
+                let remedy =
+                    format!("use --map t={},op=…,pv=… too if --tz {} is right", self.column.at + 1, zone.option());
+                Err(self.fault(row, text, &remedy))
+            }
+            (None, named) => {
                 let shown = format_rfc3339(first.ns).replace('Z', "").replace('T', " ");
-                let letters = first.letters.or(self.column.letters).map(in_words);
-                let what = letters.map_or_else(
-                    || " without a time zone".to_owned(),
-                    |letters| format!(", and {letters} names a zone for half of the year only"),
-                );
-                let remedy = "give the time zone: --tz Europe/Berlin, or --tz UTC";
-                Err(self.fault(row, format!("{name:?} contains {shown}{what}"), remedy))
+                let half = |letters| format!("{} names a zone for half of the year only", in_words(letters));
+                let open = |zone: &Zone| format!("{} leaves summer time open", zone.name());
+                let unknown = |name: &String| format!("{name:?} is no time zone that is known");
+                let letters = first.letters.or(said.letters).map(half);
+                let what = letters.or(named.as_ref().map(open)).or(said.unknown.as_ref().map(unknown));
+                let what = what.map_or_else(|| " without a time zone".to_owned(), |what| format!(", and {what}"));
+                let zone = named.as_ref().map_or_else(|| "Europe/Berlin".to_owned(), Zone::option);
+                let remedy = format!("give the time zone: --tz {zone}, or --tz UTC");
+                Err(self.fault(row, format!("{name:?} contains {shown}{what}"), &remedy))
             }
         }
     }
@@ -377,7 +403,7 @@ impl Axis {
     fn instants(&self, rows: &[u32], clocks: &[Clock], zone: &Zone) -> Result<(Vec<i64>, usize), ExportError> {
         let reading = |row: &u32| Reading {
             local_ns: clocks[*row as usize].ns,
-            letters: clocks[*row as usize].letters.or(self.column.letters),
+            letters: clocks[*row as usize].letters.or(self.column.said.letters),
             line: self.lines[*row as usize],
         };
         let mut readings: Vec<Reading> = rows.iter().map(reading).collect();

@@ -35,7 +35,7 @@ pub(super) fn table(kind: InputKind, bytes: &[u8]) -> Result<Table<'static>, Exp
     let units = schema.fields().iter().map(|field| unit(field).unwrap_or_default()).collect();
     let names = schema.fields().iter().map(|f| f.name().clone()).collect();
     let words = vec![if kind == InputKind::Parquet { "Parquet".to_owned() } else { "Arrow IPC".to_owned() }];
-    Ok(Table { names, line: 0, rows: Box::new(rows), units, words, decimal: None, warnings: Vec::new() })
+    Ok(Table { names, units, words, ..Table::of(Box::new(rows)) })
 }
 
 struct Columns {

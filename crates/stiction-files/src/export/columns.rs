@@ -7,8 +7,8 @@ use super::map::{Map, Part, same};
 use super::names::{doubt_of, is_date, is_ending, is_tag, is_time, is_value, plain, quality_of, role, time_unit};
 use super::quality::Mark;
 use super::stamp::{Stamp, is_clock};
-use super::zone::{self, Letters, Zone};
-use crate::conventions::{ZONES, is_one_of, unit_of_time};
+use super::zone::{self, Said, Zone};
+use crate::conventions::{UNIT_HEADS, ZONES, is_one_of, unit_of_time};
 use stiction::core::units::NS_PER_S;
 
 /// Rows examined to recognise columns.
@@ -29,10 +29,12 @@ pub(super) struct TimeColumn {
     pub unit: Option<TimeFormat>,
     /// Whether it is called `t`: numbers may count seconds from any start.
     pub is_t: bool,
-    /// The zone in its name.
-    pub zone: Option<Zone>,
-    /// Letters such as CET in its name.
-    pub letters: Option<Letters>,
+    /// The zone that its name, the row of units or a line above says.
+    pub said: Said,
+    /// Whether --map chose it, whatever its name says.
+    pub chosen: bool,
+    /// Whether day numbers count from 1904.
+    pub since_1904: bool,
 }
 
 impl TimeColumn {
@@ -71,6 +73,7 @@ pub(super) enum Shape {
         of: Option<usize>,
         value: usize,
         quality: Option<usize>,
+        unit: Option<usize>,
         doubts: Vec<usize>,
     },
 }
@@ -82,8 +85,6 @@ pub(super) struct Layout {
     pub times: Vec<TimeColumn>,
     /// The rest.
     pub shape: Shape,
-    /// Whether a column may tell the rows of several signals apart.
-    pub parted: bool,
 }
 
 /// Contents of the first rows, by column.
@@ -171,17 +172,16 @@ pub(super) fn layout(table: &Table<'_>, map: Option<&Map>, marks: bool) -> Resul
     let mut times = finder.times()?;
     if let Some((at, zone)) = finder.zone_column()? {
         for time in &mut times {
-            (time.zone_at, time.zone) = (Some(at), time.zone.take().or_else(|| zone.clone()));
+            time.zone_at = Some(at).filter(|_| time.said.zone.is_none());
+            time.said.zone = time.said.zone.take().or_else(|| zone.clone());
         }
     }
     finder.check_qualities()?;
     if let Some(shape) = finder.long(&times)? {
-        return Ok(Layout { times, shape, parted: true });
+        return Ok(Layout { times, shape });
     }
     let values = finder.wide(&times)?;
-    let words = |at: usize| seen[at].texts.len() > 1 && seen[at].texts.iter().all(|text| Stamp::read(text).is_none());
-    let parted = (0..seen.len()).any(|at| words(at) && role(&finder.name(at)).is_none());
-    Ok(Layout { times, shape: Shape::Wide(values), parted })
+    Ok(Layout { times, shape: Shape::Wide(values) })
 }
 
 struct Finder<'a, 'f> {
@@ -218,13 +218,13 @@ impl Finder<'_, '_> {
         let own = is_t && super::is_own(&self.table.names);
         let unit = time_unit(&name).or(own.then_some(NS_PER_S)).map(TimeFormat::Epoch);
         let clock = clock_at.map(|at| self.name(at));
-        let (zone, letters) = [Some(&name), clock.as_ref()]
-            .into_iter()
-            .flatten()
-            .map(|name| zone::of_heading(name))
-            .fold((None, None), |(zone, letters), (other, more)| (zone.or(other), letters.or(more)));
-        let letters = letters.filter(|_| unit.is_none());
-        TimeColumn { at, clock_at, zone_at: None, name, unit, is_t, zone, letters }
+        let below = [Some(at), clock_at].into_iter().flatten().filter_map(|at| self.table.units.get(at).cloned());
+        let names = [Some(name.clone()), clock].into_iter().flatten().chain(below);
+        let said = names.map(|name| Said::by_heading(&name)).chain([self.table.said.clone()]);
+        let said = said.filter(|_| unit.is_none()).find(|said| !said.says_nothing()).unwrap_or_default();
+        let chosen = self.map.is_some_and(|map| map.of(Part::Time).is_some());
+        let since_1904 = self.table.since_1904;
+        TimeColumn { at, clock_at, zone_at: None, name, unit, is_t, said, chosen, since_1904 }
     }
 
     /// The column of the zone, with the zone if it names one; what is not understood must be passed over by the user.
@@ -276,7 +276,11 @@ impl Finder<'_, '_> {
             let remedy = "join it with the time in one column, or choose the time without it: --map t=COLUMN,op=…,pv=…";
             return Err(ExportError::at(self.table.line, text, remedy));
         }
-        let dates: Vec<usize> = (0..self.seen.len()).filter(|at| self.seen[*at].is_dates()).collect();
+        let mut dates: Vec<usize> = (0..self.seen.len()).filter(|at| self.seen[*at].is_dates()).collect();
+        // Values that a spreadsheet shows as dates are no times.
+        if dates.iter().any(|at| role(&self.name(*at)).is_none()) {
+            dates.retain(|at| role(&self.name(*at)).is_none());
+        }
         let clocks: Vec<usize> = (0..self.seen.len()).filter(|at| self.seen[*at].is_clocks()).collect();
         if let (&[date], &[clock]) = (&dates[..], &clocks[..]) {
             let named = self.table.names.get(date).is_none_or(|n| is_date(n) || is_time(n));
@@ -330,7 +334,8 @@ impl Finder<'_, '_> {
                 let quality = quality.filter(|q| *q != tag && *q != value);
                 // InfluxDB parts the name of a series.
                 let of = names.iter().position(|name| name == "_measurement").filter(|_| names[tag] == "_field");
-                Ok(Some(Shape::Long { tag, of, value, quality, doubts }))
+                let unit = names.iter().position(|name| is_one_of(&plain(name), UNIT_HEADS));
+                Ok(Some(Shape::Long { tag, of, value, quality, unit, doubts }))
             }
             _ => Ok(None),
         }

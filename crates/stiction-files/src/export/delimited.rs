@@ -3,6 +3,7 @@
 use super::cell::{Cell, Rows, Table, Take};
 use super::names::is_time;
 use super::stamp::Stamp;
+use super::zone::Said;
 use super::{Decimal, ExportError, ReadOptions};
 use crate::number::is_missing_word;
 
@@ -12,6 +13,9 @@ const LOOKED_AT: usize = 200;
 const DELIMITERS: [(u8, &str); 4] = [(b'\t', "tabs"), (b';', "semicolons"), (b'|', "bars"), (b',', "commas")];
 /// Most rows between the names and the first row of values, such as units and descriptions.
 const MOST_UNITS: usize = 4;
+
+/// Rows above the last one that show whether it is cut.
+const ROWS_ABOVE: usize = 60;
 
 /// Remedy for numbers split at their decimal comma.
 const BETWEEN_COMMAS: &str =
@@ -126,10 +130,8 @@ fn head_of(kept: &[Row], first: usize, usual: usize) -> usize {
 /// Nothing looks like a table, or its rows do not fit its names.
 pub(super) fn table<'t>(text: &'t str, options: &ReadOptions) -> Result<Table<'t>, ExportError> {
     let (delimiter, rows, usual) = split(text, options.delimiter)?;
-    let (text, warnings) = match cut_end(text, delimiter, usual) {
-        Some(kept) => (kept, vec!["the last line is cut short and left out".to_owned()]),
-        None => (text, Vec::new()),
-    };
+    let (text, warnings) =
+        cut_end(text, delimiter, usual).map_or((text, Vec::new()), |(text, told)| (text, vec![told]));
     let name = DELIMITERS
         .iter()
         .find(|(d, _)| *d == delimiter)
@@ -158,6 +160,9 @@ pub(super) fn table<'t>(text: &'t str, options: &ReadOptions) -> Result<Table<'t
     let (names, line) =
         if head < first { (kept[head].cells.clone(), kept[head].line) } else { (Vec::new(), kept[first].line) };
     let mut words = vec![name];
+    let above = remarks.iter().filter(|row| row.line < kept[first].line).chain(&kept[..head]);
+    let said = above.map(|row| Said::by_line(row.line, &row.cells.join(", ")));
+    let said = said.into_iter().find(|said| !said.says_nothing()).unwrap_or_default();
     let remarks = remarks.iter().filter(|row| row.line < kept[first].line).count();
     for (count, one) in [(remarks, "comment line"), (head, "title line")] {
         match count {
@@ -194,16 +199,46 @@ pub(super) fn table<'t>(text: &'t str, options: &ReadOptions) -> Result<Table<'t
     }
     // Where commas separate cells, Excel and all others write the decimals behind a point.
     let decimal = (delimiter == b',').then_some(Decimal::Point);
-    Ok(Table { names, line, rows: Box::new(rows), units, words, decimal, warnings })
+    Ok(Table { names, line, units, words, decimal, warnings, said, ..Table::of(Box::new(rows)) })
 }
 
-/// The text without a last line that has no end and fewer cells than the others; `None` if it has none such.
-fn cut_end(text: &str, delimiter: u8, usual: usize) -> Option<&str> {
+/// The text without a last line that has no end and is shorter than the others, and a warning where it may be; `None` where the
+/// last line ends.
+fn cut_end(text: &str, delimiter: u8, usual: usize) -> Option<(&str, String)> {
     let at = text.rfind('\n').filter(|at| at + 1 < text.len())? + 1;
-    let last = &text[at..];
-    let cells = last.bytes().filter(|b| *b == delimiter).count() + 1;
-    // A single cell may be a footer, which is reported as such.
-    (1 < cells && cells < usual && !last.contains('"')).then(|| &text[..at])
+    let cells = |line: &str| reader(line, delimiter).into_records().next().and_then(Result::ok).unwrap_or_default();
+    let (whole, last) = (&text[..at], cells(&text[at..]));
+    let above: Vec<::csv::StringRecord> =
+        whole.lines().rev().take(ROWS_ABOVE).map(cells).filter(|row| row.len() == usual).collect();
+    let end = last.iter().next_back().unwrap_or_default();
+    // A single cell that begins as those above it is no footer.
+    let begins =
+        |row: &::csv::StringRecord| end.len() > 3 && row.get(0).is_some_and(|cell| cell.get(..4) == end.get(..4));
+    let is_short = match last.len() {
+        1 => usual > 1 && above.iter().any(begins),
+        n if n < usual => !text[at..].contains('"'),
+        _ => is_cut(end, &above.iter().filter_map(|row| row.iter().next_back()).collect::<Vec<_>>()),
+    };
+    if is_short {
+        return Some((whole, "the last line is cut short and left out".to_owned()));
+    }
+    Some((text, "the last line has no end: its last cell may be cut short".to_owned()))
+}
+
+/// Whether the last cell of a file is shorter than those above it can be: decimals and times of one length, or a known word.
+fn is_cut(end: &str, above: &[&str]) -> bool {
+    let decimals = |cell: &str| cell.rfind(['.', ',']).map_or(0, |at| cell.len() - at - 1);
+    let is_number = |cell: &str| cell.bytes().all(|b| b.is_ascii_digit() || b"+-.,".contains(&b));
+    let length = |cell: &str| if is_number(cell) { decimals(cell) } else { cell.len() };
+    if above.len() < 3 || above.contains(&end) {
+        return false;
+    }
+    let longer = above.iter().map(|cell| length(cell)).min().is_some_and(|least| length(end) < least);
+    if is_number(end) || Stamp::read(above[0]).is_some() {
+        longer
+    } else {
+        above.iter().any(|cell| cell.starts_with(end))
+    }
 }
 
 struct TextRows<'t> {

@@ -6,53 +6,18 @@ use super::cell::{Cell, Table};
 use super::clock::{Axis, TimeOptions};
 use super::columns::{Layout, Shape, TimeColumn, ValueColumn};
 use super::map::Map;
-use super::names::{Role, is_value, role};
+use super::names::{Role, is_value, role, unit};
 use super::quality::{Codes, Mark, convention, doubt};
+use super::series::{Series, Taken, check_once};
 use super::stamp::{Number, Stamp};
 use super::{Contents, ExportError, ReadOptions};
-use crate::number::{Decimal, Hint, hint, is_missing_word, number, sentinel, with_unit};
+use crate::number::{Decimal, Hint, hint, is_missing_word, is_unit, number, sentinel, with_unit};
 use stiction::core::record::{Mode, Signal, Value};
 
 /// Rows after which the search for the decimal separator stops, whether found or not.
 const ENOUGH_ROWS: u64 = 20_000;
 /// Most words for missing values listed.
 const MOST_WORDS: usize = 6;
-
-/// The values of one tag.
-#[derive(Debug, Clone)]
-pub(super) struct Series {
-    /// The tag.
-    pub tag: String,
-    /// Its loop and signal.
-    pub role: Role,
-    /// Its unit, if the file gives it.
-    pub unit: Option<String>,
-    /// Name of the column of its quality.
-    pub quality: Option<String>,
-    /// The samples in the order of the rows.
-    pub samples: Vec<Taken>,
-    /// The time axis.
-    axis: usize,
-    /// The first text that counts as missing, with its line.
-    first_text: Option<(u64, String)>,
-    /// The unit behind its numbers.
-    unit_in_cells: Option<String>,
-}
-
-/// One cell of a series.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Taken {
-    /// Row of the time axis.
-    row: u32,
-    /// Time, ns since 1970.
-    pub t_ns: i64,
-    /// The value; missing where its quality is bad.
-    pub value: Value,
-    /// Whether the cell was empty.
-    pub empty: bool,
-    /// Its quality.
-    pub mark: Mark,
-}
 
 /// The role of a tag, from its name or from --map.
 fn role_of(tag: &str, map: Option<&Map>) -> Option<Role> {
@@ -191,7 +156,11 @@ fn decimal_of(table: &Table<'_>, layout: &Layout, stem: &str, options: &ReadOpti
     let (line, mark) = if either[1] > 0 { (either[1], ',') } else { (either[0], '.') };
     let [word, other] = if either[1] > 0 { ["comma", "point"] } else { ["point", "comma"] };
     let what = format!("every number with a {word} has three figures behind it: decimals or thousands");
-    let remedy = format!("use --decimal {word} (1{mark}234 is 1.234) or --decimal {other} (1{mark}234 is 1234)");
+    let mut both = [(word, "1.234"), (other, "1234")];
+    // Where commas do not separate the cells, they more often separate decimals.
+    both.sort_by_key(|(word, _)| *word == "point" && table.decimal.is_none());
+    let [first, second] = both.map(|(word, value)| format!("--decimal {word} (1{mark}234 is {value})"));
+    let remedy = format!("use {first} or {second}");
     Err(ExportError::at(line, what, remedy))
 }
 
@@ -208,18 +177,6 @@ fn unreadable(tag: &str, text: &str, decimal: Decimal, line: u64) -> ExportError
         None => format!("if it stands for a missing value, use --missing {shown:?}"),
     };
     ExportError::at(line, what, remedy)
-}
-
-/// A tag that has two values at most of its times is that of several loops, which another column tells apart.
-fn check_once(series: &Series) -> Result<(), ExportError> {
-    let mut values: Vec<(i64, Option<f64>)> = series.samples.iter().map(|s| (s.t_ns, s.value.as_number())).collect();
-    values.sort_by_key(|(t_ns, _)| *t_ns);
-    let twice = values.windows(2).filter(|w| w[0].0 == w[1].0 && w[0].1 != w[1].1).count();
-    if 3 * twice < values.len() || twice < 2 {
-        return Ok(());
-    }
-    let what = format!("the tag {:?} has two values at most of its times, so it is not one signal", series.tag);
-    Err(ExportError::at(0, what, "name the column that tells them apart: --map tag=COLUMN, or export one loop"))
 }
 
 impl Gatherer<'_> {
@@ -240,7 +197,7 @@ impl Gatherer<'_> {
             ExportError::at(line, text, remedy)
         };
         let joined;
-        let zone = time.zone_at.filter(|_| time.zone.is_none()).map_or(String::new(), |at| cell(at).shown());
+        let zone = time.zone_at.map_or(String::new(), |at| cell(at).shown());
         let text = match (cell(time.at), time.clock_at.map(cell)) {
             (Cell::Empty, _) => return Ok(None),
             (Cell::Text(date), Some(Cell::Text(clock))) => {
@@ -276,7 +233,8 @@ impl Gatherer<'_> {
                 samples: Vec::new(),
                 axis,
                 first_text: None,
-                unit_in_cells: None,
+                of_cells: unit(tag).filter(|unit| is_unit(unit)).map(|unit| Some(unit.to_owned())),
+                by_heading: unit(tag).is_some_and(is_unit),
             });
             self.open.len() - 1
         });
@@ -297,7 +255,11 @@ impl Gatherer<'_> {
                 return Err(ExportError::at(table.line, text, "name the columns by number: --map op=2,pv=3"));
             }
             if let Some(series) = self.series(&tag, column.time) {
-                self.open[series].unit = table.unit_of(column.at);
+                let open = &mut self.open[series];
+                open.unit = table.unit_of(column.at);
+                let below = open.unit.clone().filter(|unit| !open.by_heading && is_unit(unit));
+                open.by_heading |= below.is_some();
+                open.of_cells = open.of_cells.take().or(below.map(Some));
                 if let Some(at) = column.quality {
                     self.quality = table.names.get(at).cloned().unwrap_or_default();
                     self.open[series].quality = Some(self.quality.clone());
@@ -314,9 +276,7 @@ impl Gatherer<'_> {
             let cell_at = |at: usize| cells.get(at).copied().unwrap_or(Cell::Empty);
             for (column, series) in &wanted {
                 let cell = cell_at(column.at);
-                if let Some(Cell::Text(unit)) = column.unit.map(cell_at) {
-                    self.open[*series].unit.get_or_insert_with(|| unit.to_owned());
-                }
+                self.open[*series].take_unit(line, column.unit.map(cell_at))?;
                 match rows[column.time] {
                     Some(row) => {
                         let mark = (column.quality.map(cell_at), doubt(line, &column.doubts, &cell_at)?);
@@ -334,7 +294,7 @@ impl Gatherer<'_> {
     }
 
     fn take_long(&mut self, table: &Table<'_>, layout: &Layout) -> Result<(), ExportError> {
-        let Shape::Long { tag, of, value, quality, ref doubts } = layout.shape else { return Ok(()) };
+        let Shape::Long { tag, of, value, quality, unit, ref doubts } = layout.shape else { return Ok(()) };
         let quality = quality.filter(|_| self.options.codes != Some(Codes::Ignore));
         if let Some(name) = quality.and_then(|at| table.names.get(at)) {
             self.quality.clone_from(name);
@@ -357,6 +317,7 @@ impl Gatherer<'_> {
             };
             let row = self.axes[0].push(stamp, line);
             let doubted = doubt(line, doubts, &cell)?;
+            self.open[series].take_unit(line, unit.map(cell))?;
             self.take(series, row, line, cell(value), (quality.map(cell), doubted))?;
             Ok(true)
         })
@@ -401,20 +362,24 @@ impl Gatherer<'_> {
         let open = &mut self.open[at];
         let text = match cell {
             Cell::Empty => return Ok(Value::Missing),
-            Cell::Number(v) => return Ok(self.counted(Value::number(v))),
-            Cell::Integer(v) => return Ok(self.counted(Value::number(v as f64))),
-            Cell::Local(_) | Cell::Instant(_) => "a time",
+            Cell::Number(v) => return open.take_number(line, cell, None).map(|()| self.counted(Value::number(v))),
+            Cell::Integer(v) => {
+                return open.take_number(line, cell, None).map(|()| self.counted(Value::number(v as f64)));
+            }
+            Cell::Local(_) | Cell::Instant(_) => {
+                let what = format!("{:?} contains the date {}, not a number", open.tag, cell.shown());
+                return Err(ExportError::at(
+                    line,
+                    what,
+                    "format its cells as numbers, and correct those that became dates",
+                ));
+            }
             Cell::Text(text) => text,
         };
         let is_missing = |text: &str| is_missing_word(text) || self.options.missing.iter().any(|word| word == text);
         let (figures, unit) = with_unit(text);
         if let Some(v) = number(figures, self.decimal).filter(|_| !is_missing(text)) {
-            if let Some(unit) = unit.filter(|unit| open.unit_in_cells.get_or_insert_with(|| (*unit).to_owned()) != unit)
-            {
-                let what =
-                    format!("{:?} contains {text:?}, but earlier lines have another unit than {unit:?}", open.tag);
-                return Err(ExportError::at(line, what, "export one unit for each column"));
-            }
+            open.take_number(line, cell, unit)?;
             return Ok(self.counted(Value::Number(v)));
         }
         if !is_missing(text) {
@@ -485,10 +450,8 @@ impl Gatherer<'_> {
         for open in &mut self.open {
             let stamps = &t_ns[open.axis];
             open.samples.iter_mut().for_each(|taken| taken.t_ns = stamps[taken.row as usize]);
-            open.unit = open.unit.take().or(open.unit_in_cells.take());
-            if layout.parted {
-                check_once(open)?;
-            }
+            open.unit = open.unit.take().or(open.of_cells.take().flatten());
+            check_once(open, &self.axes[open.axis])?;
         }
         let own = super::is_own(&table.names) && !self.options.overrules();
         let warnings = table.warnings.clone();

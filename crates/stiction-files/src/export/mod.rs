@@ -7,7 +7,7 @@
 //! | role of each column | `columns`, `names`, `map` |
 //! | numbers, words for missing values, quality codes | `number`, `quality` |
 //! | parsing a time, meaning of a time column, zones | `stamp`, `clock`, `zone` |
-//! | rows to series, series to loops | `gather`, `pair` |
+//! | rows to series, series to loops | `gather`, `series`, `pair` |
 //!
 //! Nothing is guessed if two readings are possible: such a file is rejected with the line, what was seen, and the option
 //! that settles it.
@@ -24,6 +24,7 @@ pub mod names;
 mod options;
 mod pair;
 mod quality;
+mod series;
 mod stamp;
 mod text;
 #[cfg(feature = "xlsx")]
@@ -44,7 +45,7 @@ use thiserror::Error;
 
 use super::{InputKind, LoadedLoop};
 use cell::Table;
-use gather::Series;
+use series::Series;
 use stiction::core::units::{NS_PER_S, parse_time};
 pub(crate) use text::wide;
 
@@ -69,7 +70,7 @@ impl ExportError {
     #[must_use]
     pub fn flags(&self) -> Option<&str> {
         let flags = &self.remedy[self.remedy.find("--")?..];
-        let end = [", ", " or ", " (", "; ", ": "].iter().filter_map(|mark| flags.find(mark)).min();
+        let end = [", ", " or ", " if ", " too", " (", "; ", ": "].iter().filter_map(|mark| flags.find(mark)).min();
         let flags = &flags[..end.unwrap_or(flags.len())];
         let open = ["TAG", "COLUMN", "…"].iter().any(|word| flags.contains(word));
         (flags.contains([' ', '=']) && !open).then_some(flags)

@@ -3,9 +3,10 @@
 use std::collections::HashMap;
 
 use super::columns::listed;
-use super::gather::{Series, Taken};
+
 use super::map::{Map, Part};
 use super::quality::Mark;
+use super::series::{Series, Taken};
 use super::{Contents, Export, ExportError, ReadOptions, Recognised};
 use crate::{BAD, LoadedLoop};
 use stiction::core::record::{Sample, Signal};

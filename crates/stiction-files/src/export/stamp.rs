@@ -13,6 +13,10 @@ use stiction::core::units::NS_PER_S;
 /// Nanoseconds in an hour.
 pub(super) const HOUR_NS: i64 = 3600 * NS_PER_S;
 
+/// In place of a date that does not exist.
+const NO_DATE: i32 = i32::MIN;
+const DAY_NS: i64 = 24 * HOUR_NS;
+
 /// A cell of a time column.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Stamp {
@@ -40,8 +44,8 @@ pub(super) struct Number {
 /// A date whose fields are not yet identified.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Civil {
-    /// The local time for each order of the fields, ns as if it were UTC; `None` where there is no such date.
-    readings: [Option<i64>; 3],
+    /// Days since 1970 for each order of the fields; [`NO_DATE`] where there is no such date.
+    days: [i32; 3],
     /// Whether the month is a word.
     pub named: bool,
     /// Time of day, ns; a full day for 24:00.
@@ -217,11 +221,13 @@ fn civil(text: &str) -> Option<Civil> {
         let dates = forms.filter_map(|form| strtime::parse(form, &date).ok()?.to_date().ok());
         let midnight =
             dates.filter(|date| date.year() >= 1000).map(|date| date.to_datetime(Time::midnight())).next()?;
-        local_ns(midnight)?.checked_add(clock_ns)
+        let midnight_ns = local_ns(midnight)?;
+        midnight_ns.checked_add(clock_ns).and_then(|_| i32::try_from(midnight_ns / DAY_NS).ok())
     };
-    let mut civil = Civil { readings: WRITTEN.map(reading), named, clock_ns, ..Civil::default() };
+    let days = WRITTEN.map(|forms| reading(forms).unwrap_or(NO_DATE));
+    let mut civil = Civil { days, named, clock_ns, ..Civil::default() };
     civil.take_zone(rest.trim())?;
-    civil.readings.iter().any(Option::is_some).then_some(civil)
+    days.iter().any(|day| *day != NO_DATE).then_some(civil)
 }
 
 /// Parses the time of day after a date, ns, and returns the rest. AM and PM, in any language, may come before or after it.
@@ -298,7 +304,10 @@ impl Civil {
 
     /// The local time for an order of the fields, ns as if it were UTC.
     pub(super) const fn local_ns(self, order: Order) -> Option<i64> {
-        self.readings[order as usize]
+        match self.days[order as usize] {
+            NO_DATE => None,
+            day => Some(day as i64 * DAY_NS + self.clock_ns),
+        }
     }
 }
 

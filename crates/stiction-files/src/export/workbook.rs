@@ -6,6 +6,7 @@ use calamine::{Data, ExcelDateTime, Reader as _, Xlsx, XlsxError};
 
 use super::cell::{Cell, Rows, Table, Take};
 use super::stamp::{Stamp, local_ns};
+use super::zone::Said;
 use super::{Contents, ExportError, ReadOptions, contents_of, guarded};
 
 /// Most rows above a table.
@@ -83,7 +84,7 @@ fn sheets(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Contents, E
             }
         };
         let Some(sheet) = Sheet::of(rows) else { continue };
-        let table = sheet.table(name);
+        let table = Table { since_1904: book.has_1904_epoch(), ..sheet.table(name) };
         match contents_of(&table, if several { name } else { stem }, options) {
             Ok(contents) => {
                 read += 1;
@@ -160,15 +161,10 @@ impl Sheet {
             words.push(format!("units in row {}", self.rows[head + 1].0));
             units.extend(self.rows[head + 1].1.iter().map(|c| c.to_string().trim().to_owned()));
         }
-        Table {
-            names,
-            line: self.rows[head].0,
-            rows: Box::new(SheetRows(self)),
-            units,
-            words,
-            decimal: None,
-            warnings: Vec::new(),
-        }
+        let text = |row: &[Data]| row.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        let above = self.rows[..head].iter().map(|(line, row)| Said::by_line(*line, &text(row)));
+        let said = above.into_iter().find(|said| !said.says_nothing()).unwrap_or_default();
+        Table { names, line: self.rows[head].0, units, words, said, ..Table::of(Box::new(SheetRows(self))) }
     }
 }
 

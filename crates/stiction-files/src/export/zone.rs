@@ -4,7 +4,7 @@ use jiff::tz::{AmbiguousOffset, Offset, TimeZone};
 
 use super::ExportError;
 use super::stamp::HOUR_NS;
-use crate::conventions::{LETTERS, WINDOWS};
+use crate::conventions::{LETTERS, NO_ZONES, REGIONS, WINDOWS, is_one_of, unit_of_time};
 use stiction::core::units::format_rfc3339;
 
 /// Half an hour: rows closer than this belong together; steps at a clock change are longer.
@@ -23,20 +23,102 @@ pub(super) fn is_known(text: &str) -> bool {
     offset_of(text).is_some() || LETTERS.iter().any(|(known, _)| known.eq_ignore_ascii_case(text))
 }
 
-/// The zone that a heading names, in brackets or as `UTC` with or without hours behind it; or letters such as CET.
-pub(super) fn of_heading(name: &str) -> (Option<Zone>, Option<Letters>) {
-    let name = &name.replace('\u{2212}', "-");
-    let words = || name.split([' ', '(', ')', '[', ']', '_']).filter(|word| !word.is_empty());
-    let known = |word: &&str| !["UTC", "GMT"].contains(word) && LETTERS.iter().any(|(known, _)| known == word);
-    if let Some(letters) = words().find(known) {
-        return (None, Some(letters_of(letters)));
+/// What a text says of the zone of its times.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) struct Said {
+    /// Where it says so, for messages.
+    pub place: String,
+    /// The zone.
+    pub zone: Option<Zone>,
+    /// Letters such as CET, which name a zone for half of the year only.
+    pub letters: Option<Letters>,
+    /// Words in brackets that may be a zone, and are none that is known.
+    pub unknown: Option<String>,
+}
+
+impl Said {
+    /// What a heading says: in brackets, as `UTC` with or without hours behind it, or as letters.
+    pub(super) fn by_heading(name: &str) -> Self {
+        let mut said = Self { place: format!("the heading {name:?}"), ..Self::in_text(name) };
+        if let Some(inside) = super::names::unit(name).filter(|_| said.says_nothing()) {
+            said.zone = Zone::parse(inside).or_else(|_| of_city(inside)).ok();
+            let is_name = inside.len() > 3 && inside.chars().all(|c| c.is_alphabetic() || c == ' ');
+            let is_unit = unit_of_time(inside).is_some() || is_one_of(&inside.to_lowercase(), NO_ZONES);
+            said.unknown = (said.zone.is_none() && is_name && !is_unit).then(|| inside.to_owned());
+        }
+        said
     }
-    let of_word = |word: &str| {
-        let from = word.get(..3).filter(|start| ["utc", "gmt"].contains(&start.to_lowercase().as_str()))?;
-        Zone::parse(if word.len() == from.len() { "UTC" } else { &word[3..] }).ok()
-    };
-    let named = super::names::unit(name).and_then(|inside| Zone::parse(inside).ok());
-    (named.or_else(|| words().filter_map(of_word).next_back()), None)
+
+    /// What a line above the names says, if it speaks of times and holds none.
+    pub(super) fn by_line(line: u64, text: &str) -> Self {
+        let lower = text.to_lowercase();
+        let has_clock =
+            text.as_bytes().windows(3).any(|w| w[0].is_ascii_digit() && w[1] == b':' && w[2].is_ascii_digit());
+        let is_offset =
+            lower.contains("utc+") || lower.contains("utc-") || lower.contains("gmt+") || lower.contains("gmt-");
+        let is_tz = lower.split(|c: char| !c.is_alphabetic()).any(|word| word == "tz");
+        if !(is_tz || lower.contains("time") || lower.contains("zeit")) || (has_clock && !is_offset) {
+            return Self::default();
+        }
+        let place = format!("line {line}");
+        let mut said = Self { place, ..Self::in_text(text) };
+        let value =
+            text.split_once([':', '=', ',', ';', '\t']).map(|(_, value)| value.trim_matches([' ', ',', ';', '"']));
+        if let Some(value) = value.filter(|value| said.says_nothing() && !value.is_empty()) {
+            said.zone = Zone::parse(value).or_else(|_| of_city(value)).ok();
+            let is_zone = is_tz || ["time zone", "timezone", "zeitzone"].iter().any(|word| lower.contains(word));
+            let is_open = said.zone.is_none() && !is_one_of(&value.to_lowercase(), NO_ZONES);
+            said.unknown = (is_zone && is_open).then(|| value.to_owned());
+        }
+        said
+    }
+
+    /// Names of zones and offsets from UTC between other words.
+    fn in_text(text: &str) -> Self {
+        let text = text.replace('\u{2212}', "-");
+        let lower = text.to_lowercase();
+        let by_name = |list: &[(&str, &str)], summer| {
+            let is_there = |words: &str| {
+                let at = lower.find(&words.to_lowercase())?;
+                // Not behind another word, as in `AUS Eastern Standard Time`.
+                (!lower[..at].trim_end().ends_with(char::is_alphanumeric)).then_some(())
+            };
+            let (words, place) = list.iter().find(|(words, _)| is_there(words).is_some())?;
+            Some(Zone { name: (*words).to_owned(), either: summer, ..Zone::parse(place).ok()? })
+        };
+        if let Some(zone) = by_name(&WINDOWS, false).or_else(|| by_name(&REGIONS, true)) {
+            return Self { zone: Some(zone), ..Self::default() };
+        }
+        let words = || text.split([' ', '(', ')', '[', ']', '_', ',', ';', '"', '\t']).filter(|word| !word.is_empty());
+        let known = |word: &&str| !["UTC", "GMT"].contains(word) && LETTERS.iter().any(|(known, _)| known == word);
+        if let Some(letters) = words().find(known) {
+            return Self { letters: Some(letters_of(letters)), ..Self::default() };
+        }
+        let of_word = |word: &str| {
+            if word.contains('/') {
+                return Zone::parse(word).ok();
+            }
+            let from = word.get(..3).filter(|start| ["utc", "gmt"].contains(&start.to_lowercase().as_str()))?;
+            let zone = Zone::parse(if word.len() == from.len() { "UTC" } else { &word[3..] }).ok()?;
+            // Windows shows the offset in winter, and places whose clocks are moved.
+            let behind = text.split_once(word).is_some_and(|(_, behind)| behind.contains(char::is_alphabetic));
+            Some(Zone { either: zone.name != "UTC" && behind, ..zone })
+        };
+        Self { zone: words().filter_map(of_word).next_back(), ..Self::default() }
+    }
+
+    /// Whether it says nothing of a zone.
+    pub(super) fn says_nothing(&self) -> bool {
+        self.zone.is_none() && self.letters.is_none() && self.unknown.is_none()
+    }
+}
+
+/// The zone of a city that gives one its name.
+fn of_city(city: &str) -> Result<Zone, String> {
+    let end = format!("/{}", city.replace(' ', "_"));
+    let named = |zone: &jiff::tz::TimeZoneName<'_>| zone.as_str().ends_with(&end);
+    let found = jiff::tz::db().available().find(named).ok_or_else(|| format!("{city:?} is no city of a time zone"))?;
+    Zone::parse(found.as_str())
 }
 
 /// A time zone as requested.
@@ -44,6 +126,8 @@ pub(super) fn of_heading(name: &str) -> (Option<Zone>, Option<Letters>) {
 pub struct Zone {
     name: String,
     zone: TimeZone,
+    /// Whether the name leaves open if its clocks are moved in summer.
+    either: bool,
 }
 
 /// One local time, in time order.
@@ -65,26 +149,39 @@ impl Zone {
     pub fn parse(text: &str) -> Result<Self, String> {
         let windows = WINDOWS.iter().find(|(name, _)| name.eq_ignore_ascii_case(text)).map(|(_, name)| *name);
         let zone = match offset_of(text) {
-            Some(Offset::UTC) => return Ok(Self { name: "UTC".to_owned(), zone: TimeZone::UTC }),
+            Some(Offset::UTC) => return Ok(Self { name: "UTC".to_owned(), zone: TimeZone::UTC, either: false }),
             Some(offset) => Ok(TimeZone::fixed(offset)),
             None if text.contains(',') => TimeZone::posix(text),
             None => TimeZone::get(windows.unwrap_or(text)),
         };
         if let Ok(zone) = zone {
-            return Ok(Self { name: text.to_owned(), zone });
+            return Ok(Self { name: text.to_owned(), zone, either: false });
         }
         Err(format!(
             "{text:?} is not a time zone; write a name such as Europe/Berlin, UTC, or an offset such as +01:00"
         ))
     }
 
-    /// Whether two zones have the same clocks, by their offsets in each month of a year.
-    pub(super) fn agrees(&self, other: &Self) -> bool {
-        (1..=12).all(|month| {
+    /// Whether it has the clocks of a zone that a file names, by the offsets in each month of a year; in some month, if the
+    /// name leaves summer time open.
+    pub(super) fn agrees(&self, named: &Self) -> bool {
+        let same = |month: i8| {
             let noon = jiff::civil::date(2025, month, 15).at(12, 0, 0, 0);
             let at = Offset::UTC.to_timestamp(noon).unwrap_or(jiff::Timestamp::UNIX_EPOCH);
-            self.zone.to_offset(at) == other.zone.to_offset(at)
-        })
+            self.zone.to_offset(at) == named.zone.to_offset(at)
+        };
+        if named.either { (1..=12).any(same) } else { (1..=12).all(same) }
+    }
+
+    /// Whether its name leaves open if its clocks are moved in summer.
+    pub(super) const fn is_either(&self) -> bool {
+        self.either
+    }
+
+    /// The name as --tz takes it.
+    pub(super) fn option(&self) -> String {
+        let name = self.zone.iana_name().filter(|name| *name != "UTC").unwrap_or(&self.name);
+        if name.contains(' ') { format!("{name:?}") } else { name.to_owned() }
     }
 
     /// Whether letters behind a time can be those of this zone at an instant.
@@ -262,23 +359,59 @@ mod tests {
 
     #[test]
     fn headings_name_zones() {
-        let of = |name: &str| of_heading(name).0.map(|zone| zone.name().to_owned());
+        let of = |name: &str| Said::by_heading(name);
         for (name, zone) in [
             ("Time (UTC)", Some("UTC")),
             ("timestamp_utc", Some("UTC")),
             ("Timestamp GMT+1", Some("+1")),
-            ("Time (UTC+02:00)", Some("UTC+02:00")),
+            ("Time (UTC+02:00)", Some("+02:00")),
             ("Time (Europe/Berlin)", Some("Europe/Berlin")),
+            ("Time (Berlin)", Some("Europe/Berlin")),
+            ("Time (New York)", Some("America/New_York")),
             ("Time (W. Europe Standard Time)", Some("W. Europe Standard Time")),
+            ("Time (Central European Time)", Some("Central European Time")),
             ("Time", None),
             ("Time (local)", None),
         ] {
-            assert_eq!(of(name).as_deref(), zone, "{name}");
+            assert_eq!(of(name).zone.map(|zone| zone.name().to_owned()).as_deref(), zone, "{name}");
         }
         assert_eq!(
-            ["Zeit [MESZ]", "Time CET", "t [s]"].map(|name| of_heading(name).1),
+            ["Zeit [MESZ]", "Time CET", "t [s]"].map(|name| of(name).letters),
             [Some(*b"MESZ\0"), Some(*b"CET\0\0"), None]
         );
+        let unknown = ["Time (Munich)", "Time (Atlantis Standard Time)", "Time (local)", "t [s]", "Time (min)"];
+        let unknown = unknown.map(|name| of(name).unknown.is_some());
+        assert_eq!(unknown, [true, true, false, false, false]);
+        // Summer time is open where a region is named, not where a zone is.
+        let agrees = |tz: &str, name: &str| Zone::parse(tz).unwrap().agrees(&of(name).zone.unwrap());
+        for (tz, agreed) in [("UTC", false), ("Europe/London", false), ("Europe/Paris", true), ("+01:00", true)] {
+            assert_eq!(agrees(tz, "Time (Central European Time)"), agreed, "{tz}");
+        }
+        assert!(!agrees("+01:00", "Time (Berlin)"));
+    }
+
+    #[test]
+    fn lines_above_the_names_say_the_zone_if_they_speak_of_times() {
+        let of = |text: &str| {
+            let said = Said::by_line(2, text);
+            said.zone.map(|z| z.name().to_owned()).or(said.letters.map(in_words)).or(said.unknown)
+        };
+        for (text, zone) in [
+            ("# Time zone: Europe/Berlin", Some("Europe/Berlin")),
+            ("# Timezone=Berlin", Some("Europe/Berlin")),
+            ("# all times in UTC", Some("UTC")),
+            ("Zeitzone, MEZ", Some("MEZ")),
+            ("Time zone, AUS Eastern Standard Time", Some("AUS Eastern Standard Time")),
+            ("Time zone: W. Europe Standard Time", Some("W. Europe Standard Time")),
+            ("Time zone: Atlantis", Some("Atlantis")),
+            ("# exported on 2026-06-15 at 08:00 UTC, time of the server", None),
+            ("# Plant 41, June", None),
+            ("# Start time: local", None),
+        ] {
+            assert_eq!(of(text).as_deref(), zone, "{text}");
+        }
+        let shown = Said::by_line(1, "Time zone: (UTC+01:00) Amsterdam, Berlin, Rome").zone.unwrap();
+        assert!(shown.is_either() && Zone::parse("Europe/Berlin").unwrap().agrees(&shown));
     }
 
     #[test]
