@@ -40,12 +40,10 @@ pub(super) fn sentinel(values: impl Iterator<Item = f64> + Clone) -> Option<f64>
 }
 
 /// The smallest of at most [`MOST_GIANTS`] numbers that come again and are far larger than all others.
-fn lone_giant(values: impl Iterator<Item = f64>) -> Option<f64> {
-    // The largest numbers with their counts, the largest first; and how many numbers differ from the one before.
-    let (mut largest, mut changes, mut before) = (Vec::<(f64, usize)>::new(), 0, f64::NAN);
-    for v in values {
-        changes += usize::from(v != before);
-        before = v;
+fn lone_giant(values: impl Iterator<Item = f64> + Clone) -> Option<f64> {
+    // The largest numbers with their counts, the largest first.
+    let mut largest: Vec<(f64, usize)> = Vec::new();
+    for v in values.clone() {
         match largest.iter_mut().find(|(known, _)| *known == v) {
             Some((_, count)) => *count += 1,
             None => {
@@ -59,9 +57,9 @@ fn lone_giant(values: impl Iterator<Item = f64>) -> Option<f64> {
     }
     let at = largest.windows(2).position(|w| w[0].0.abs() > FAR * w[1].0.abs().max(LARGEST_PERCENT / FAR))?;
     let giants = &largest[..=at];
-    let count: usize = giants.iter().map(|(_, count)| count).sum();
-    // A signal of few values may have any; each giant makes two changes.
-    (giants.iter().all(|(_, count)| *count > 1) && changes > 2 * count + FEW).then_some(giants[at].0)
+    let others = || values.clone().filter(|v| giants.iter().all(|(giant, _)| giant != v));
+    let changes = others().zip(others().skip(1)).filter(|(a, b)| a != b).take(FEW).count();
+    (changes == FEW && giants.iter().all(|(_, count)| *count > 1)).then_some(giants[at].0)
 }
 
 fn known_sentinel(values: impl Iterator<Item = f64> + Clone) -> Option<f64> {
@@ -288,6 +286,8 @@ mod tests {
         }
         assert_eq!((with(wave(0.0, 0.5).collect(), &[100.0]), with([0.0, 500.0].repeat(40), &[0.0])), (None, None));
         assert_eq!(with([vec![5.0; 50], vec![8.0; 50]].concat(), &[700.0]), None);
+        let long = wave(900.0, 10.0).chain([6999.0; 5000]).collect::<Vec<f64>>();
+        assert_eq!(found(&long), Some(6999.0));
         let once: Vec<f64> = wave(900.0, 10.0).chain([6999.0]).collect();
         assert_eq!(found(&once), None);
     }

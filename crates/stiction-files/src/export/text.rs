@@ -47,6 +47,8 @@ pub(super) fn decode<'b>(bytes: &'b [u8], wanted: Option<&'static Encoding>) -> 
     let written = bytes.iter().rposition(|b| *b != 0).map_or(0, |at| at + 1);
     let (text, encoding, step) = characters(bytes, written, wanted);
     let end = text.trim_end_matches(['\0', '\u{1a}', '\n', '\r']).len();
+    // The end of the last line shows that it is whole.
+    let end = end + usize::from(text[end..].starts_with(['\n', '\r']));
     let zeros = bytes.len() - written.next_multiple_of(step).min(bytes.len()) + text[end..].matches('\0').count();
     let warning = (zeros > 0).then(|| format!("{zeros} NUL bytes at the end are left out: the file was not closed"));
     let text = match text {
@@ -142,10 +144,10 @@ mod tests {
         for text in ["a,b\r\n1,2\r\n", "a,b\r1,2\r", "\u{feff}a,b\n\u{feff}1,2\n"] {
             assert_eq!(decode(text.as_bytes(), None).unwrap().text, "a,b\n1,2\n", "{text:?}");
         }
-        assert_eq!(decode(b"a,b\n1,2\n\x1a", None).unwrap().text, "a,b\n1,2");
+        assert_eq!(decode(b"a,b\n1,2\n\x1a", None).unwrap().text, "a,b\n1,2\n");
         let cut = [b"a,b\n1,2\n".to_vec(), vec![0; 9000]].concat();
         let found = decode(&cut, None).unwrap();
-        assert_eq!(found.text, "a,b\n1,2");
+        assert_eq!(found.text, "a,b\n1,2\n");
         assert!(found.warning.unwrap().contains("9000 NUL bytes"));
         let inside = decode(b"a,b\n1,2\n\0\0\0\n3,4\n", None).unwrap_err().to_string();
         assert!(inside.contains("line 3") && inside.contains("NUL"), "{inside}");

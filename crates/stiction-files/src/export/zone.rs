@@ -65,8 +65,9 @@ impl Said {
         let value =
             text.split_once([':', '=', ',', ';', '\t']).map(|(_, value)| value.trim_matches([' ', ',', ';', '"']));
         if let Some(value) = value.filter(|value| said.says_nothing() && !value.is_empty()) {
-            said.zone = Zone::parse(value).or_else(|_| of_city(value)).ok();
             let is_zone = is_tz || ["time zone", "timezone", "zeitzone"].iter().any(|word| lower.contains(word));
+            let city = || of_city(value).ok().filter(|_| is_zone);
+            said.zone = Zone::parse(value).ok().or_else(city);
             let is_open = said.zone.is_none() && !is_one_of(&value.to_lowercase(), NO_ZONES);
             said.unknown = (is_zone && is_open).then(|| value.to_owned());
         }
@@ -406,6 +407,7 @@ mod tests {
             ("Time zone: Atlantis", Some("Atlantis")),
             ("# exported on 2026-06-15 at 08:00 UTC, time of the server", None),
             ("# Plant 41, June", None),
+            ("# Time series, Berlin", None),
             ("# Start time: local", None),
         ] {
             assert_eq!(of(text).as_deref(), zone, "{text}");
