@@ -48,7 +48,8 @@ pub(super) struct Taken {
 
 /// A tag that has two values at most of its times is that of several loops, or its times lack their seconds.
 pub(super) fn check_once(series: &Series, axis: &Axis) -> Result<(), ExportError> {
-    let mut taken: Vec<&Taken> = series.samples.iter().collect();
+    // OP and PV in separate rows leave an empty cell at every time.
+    let mut taken: Vec<&Taken> = series.samples.iter().filter(|taken| taken.value != Value::Missing).collect();
     taken.sort_by_key(|taken| taken.t_ns);
     let same = || taken.windows(2).filter(|w| w[0].t_ns == w[1].t_ns);
     let mut different = same().filter(|w| w[0].value != w[1].value);
