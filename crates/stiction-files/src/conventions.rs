@@ -29,8 +29,8 @@ pub(crate) const SIGNS: &str = "-|--|---|?|\\n";
 
 pub(crate) const STARTS: &str = "1.#|-1.#|bad|[-|#n/|#value|#div|#ref|#num";
 
-/// Numbers that loggers and archives write in place of a value, with either sign but for the first, which is negative; and the
-/// least of those that are no value of any signal.
+/// Numbers that loggers and archives write in place of a value, with either sign; 99.99 only as -99.99, since it may be a
+/// percentage.
 pub(crate) const SENTINELS: [f64; 18] = [
     99.99,
     999.0,
@@ -51,6 +51,7 @@ pub(crate) const SENTINELS: [f64; 18] = [
     2_147_483_648.0,
     4_294_967_295.0,
 ];
+/// From here on a number is no value of any signal.
 pub(crate) const NO_VALUE: f64 = 1e30;
 
 /// Units that stand behind numbers in cells, in lower case.

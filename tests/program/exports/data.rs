@@ -110,7 +110,7 @@ pub fn xlsx(rows: &[Vec<XlsxCell>]) -> Vec<u8> {
     workbook(rows, "")
 }
 
-/// A workbook with properties of its own, such as `<workbookPr date1904="1"/>`.
+/// `properties` goes into `workbook.xml`: Excel says there that days count from 1904.
 pub fn workbook(rows: &[Vec<XlsxCell>], properties: &str) -> Vec<u8> {
     let mut sheet =
         String::from(r#"<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"><sheetData>"#);

@@ -13,8 +13,8 @@ use stiction::core::units::{NS_PER_S, format_rfc3339, s_from_ns};
 const FIRST_YEAR: i64 = 1990;
 /// Seconds from 1970 to 1990.
 const FIRST_S: i64 = 631_152_000;
-/// Numbers whose unit is not said are times of the last years, s before the end of next year: seconds since 1980 give dates
-/// that are ten years too early, and seconds since 2001 earlier ones.
+/// How old a time may be if its unit is not given, s before the end of next year. Older ones are asked about: seconds since
+/// 1980 or 2001, read as seconds since 1970, come out 10 or 31 years too early.
 const LATE_S: i64 = 11 * 31_557_600;
 /// Seconds in a day.
 const DAY_S: i64 = 86_400;

@@ -23,16 +23,15 @@ pub(super) fn is_known(text: &str) -> bool {
     offset_of(text).is_some() || LETTERS.iter().any(|(known, _)| known.eq_ignore_ascii_case(text))
 }
 
-/// What a text says of the zone of its times.
+/// The time zone that a heading, a title or a comment names.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Said {
-    /// Where it says so, for messages.
+    /// The heading or line, as error messages name it.
     pub place: String,
-    /// The zone.
     pub zone: Option<Zone>,
     /// Letters such as CET, which name a zone for half of the year only.
     pub letters: Option<Letters>,
-    /// Words in brackets that may be a zone, and are none that is known.
+    /// Words in the place of a zone that name none we know: the user is asked.
     pub unknown: Option<String>,
 }
 
@@ -114,10 +113,16 @@ impl Said {
     }
 }
 
-/// The zone of a city that gives one its name.
+/// The zone of a city that gives one its name. `North` or `Central` may be a part of the plant: the old zone names
+/// `Australia/North` and `US/Central` are no cities.
 fn of_city(city: &str) -> Result<Zone, String> {
-    let end = format!("/{}", city.replace(' ', "_"));
-    let named = |zone: &jiff::tz::TimeZoneName<'_>| zone.as_str().ends_with(&end);
+    const CONTINENTS: [&str; 6] = ["Africa", "America", "Asia", "Australia", "Europe", "Pacific"];
+    const NO_CITIES: [&str; 4] = ["North", "South", "West", "Victoria"];
+    let wanted = city.replace(' ', "_");
+    let named = |zone: &jiff::tz::TimeZoneName<'_>| {
+        let parts = zone.as_str().split_once('/');
+        parts.is_some_and(|(area, place)| CONTINENTS.contains(&area) && place == wanted && !NO_CITIES.contains(&place))
+    };
     let found = jiff::tz::db().available().find(named).ok_or_else(|| format!("{city:?} is no city of a time zone"))?;
     Zone::parse(found.as_str())
 }
@@ -315,6 +320,16 @@ mod tests {
         let from = parse_time("2026-10-25T00:00:00Z").unwrap();
         let read = zone.instants(&readings(texts)).map_err(|e| e.to_string())?.0;
         Ok(read.iter().map(|ns| (ns - from) / (60 * NS_PER_S)).collect())
+    }
+
+    #[test]
+    fn a_city_in_a_heading_is_a_zone_and_a_part_of_the_plant_is_not() {
+        let zone = |name: &str| Said::by_heading(name).zone.map(|zone| zone.option());
+        assert_eq!(zone("Time (Berlin)").as_deref(), Some("Europe/Berlin"));
+        assert_eq!(zone("Time (New York)").as_deref(), Some("America/New_York"));
+        for part in ["North", "West", "Central", "East", "Center"] {
+            assert_eq!(zone(&format!("Time ({part})")), None, "{part}");
+        }
     }
 
     #[test]
