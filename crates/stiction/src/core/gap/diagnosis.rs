@@ -270,20 +270,17 @@ fn fit_to_all(problem: &Problem, search: &Search, work: &mut Work<'_>) -> Option
     refitted(problem, &nothing, &[search], None, work)?.pop()
 }
 
-/// The best residual's high band beside the floor that was read from PV alone; where a recorder thinned PV, the floor is
-/// what this residual shows at the values that were stored.
+/// Where a recorder thinned PV, the floor is what the best residual shows at the values that were stored.
 fn check_floor(problem: &Problem, found: &Found, traces: &Traces, floor: &mut Floor) {
     let best = found.searches.iter().chain([&found.base]).min_by(|a, b| a.sse().total_cmp(&b.sse()));
-    let left = best.and_then(|search| residual_of(problem, search));
-    if let (true, Some(left)) = (traces.thinned, &left) {
+    let left = best.filter(|_| traces.thinned).and_then(|search| residual_of(problem, search));
+    if let Some(left) = left {
         let sd =
-            noise::of_measured(left, &traces.measured, problem.blocks.from).map(|s| s * problem.normalised.deviation);
+            noise::of_measured(&left, &traces.measured, problem.blocks.from).map(|s| s * problem.normalised.deviation);
         let sd = sd.filter(|_| traces.noise_shows);
         floor.noise_sd = sd;
         floor.noise_floor = sd.filter(|s| *s > 0.0);
     }
-    let sd = left.and_then(|r| noise::high_band(&r, &problem.train));
-    floor.high_band_sd = sd.map(|s| s * problem.normalised.deviation);
 }
 
 /// Every effect of the catalogue, weighed.
@@ -291,9 +288,8 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
     let (problem, floor) = (scales.problem, scales.floor);
     let mut out: Vec<EffectResult> = found.searches.iter().filter_map(|search| scales.weigh(search)).collect();
     let left = residual_of(problem, &found.base);
-    let one_step = left
-        .and_then(|r| noise::autoregression(&r, &problem.train))
-        .map(|mse| mse.sqrt() * problem.normalised.deviation);
+    let one_step =
+        left.and_then(|r| noise::memory(&r, &problem.train)).map(|(mse, ..)| mse.sqrt() * problem.normalised.deviation);
     for effect in effects::ALL.into_iter().filter(|e| options.asks(e.id)) {
         let floor_after = match effect.way {
             Way::Noise => one_step,

@@ -125,9 +125,8 @@ impl Left {
     fn by(problem: &Problem, search: &Search) -> Option<Self> {
         let left = residual_of(problem, search)?;
         let log = |mse: f64| libm::log(mse.max(1e-300)) + 2.0 * libm::log(problem.normalised.deviation);
-        let one_step = noise::autoregression(&left, &problem.train).map(log)?;
-        let (first, pole) = noise::first_order(&left, &problem.train)?;
-        Some(Self { one_step, pole, is_first: log(first) - one_step < FIRST_ORDER })
+        let (high, first, pole) = noise::memory(&left, &problem.train)?;
+        Some(Self { one_step: log(high), pole, is_first: log(first) - log(high) < FIRST_ORDER })
     }
 }
 
@@ -180,12 +179,11 @@ impl Undone {
         }
         add_memory(problem, &pv, &mut prediction, from, a);
         let residual: Vec<f64> = pv.iter().zip(&prediction).map(|(y, p)| y - p).collect();
-        let steps = problem.train.iter().flat_map(|[b, e]| residual[*b..*e].windows(2));
-        let (count, sum) = steps.fold((0.0, 0.0), |(n, sum), w| (n + 1.0, sum + (w[1] - a * w[0]) * (w[1] - a * w[0])));
+        let one_step = noise::mean_square(&noise::innovations(&residual, &problem.train, &[1.0, -a]));
         let noise_sd = floor * ((1.0 - a) / (1.0 + a)).sqrt();
         let lag_s = -problem.point_s / libm::log(a);
         let over_floor = base.rmse_train / floor;
-        let (_, r1) = noise::first_order(&residual_of(&self.problem, search)?, &self.problem.train)?;
+        let (_, _, r1) = noise::memory(&residual_of(&self.problem, search)?, &self.problem.train)?;
         let mut model = base.model.clone();
         model.process.time_constants_s = with_lag(&base.time_constants_s, lag_s);
         let id = super::effects::sensor_filter::EFFECT.id.to_owned();
@@ -195,7 +193,7 @@ impl Undone {
             at_floor: base.at_floor,
             ..Fit::of_run(problem, id, model, prediction, base.valve, Some(noise_sd))
         };
-        let one_step = libm::log((sum / f64::max(count, 1.0)).max(1e-300));
+        let one_step = libm::log(one_step.max(1e-300));
         Some(Made { filtered: Filtered { fit, lag_s, noise_sd }, one_step, over_floor, r1 })
     }
 }

@@ -282,12 +282,8 @@ pub struct Floor {
     /// Standard deviation of PV's noise, PV units: of its white part, of the stored values if a historian thinned PV, or after a
     /// filter; `None` if held or compressed PV has too few stored values.
     pub noise_sd: Option<f64>,
-    /// Quantum of PV, PV units; `None` if PV has no grid.
-    pub quantum: Option<f64>,
-    /// Noise floor of a free run: `noise_sd` and the quantum's share combined.
+    /// Noise floor of a free run: `noise_sd` and the share of PV's quantum combined.
     pub noise_floor: Option<f64>,
-    /// Standard deviation from the high band of the best residual, PV units, as a check of `noise_sd`.
-    pub high_band_sd: Option<f64>,
 }
 
 /// What comparing other loops with this one came to.

@@ -4,10 +4,9 @@
 //! them must show them by itself, and a noise model fitted to the rest of the record must predict the half better with them
 //! than without. A free run that drives the noise model was fitted to all of the record.
 
-use super::arx::{Design, Fit};
 use super::search::{Model, Searched};
-use super::series::START;
 use super::shapes::Shape;
+use crate::core::gap::noise::arx::{Design, Fit, START};
 
 /// Nats that an effect of a given size gains at least where its noise model was fitted elsewhere.
 const LEAST_HELD_OUT: f64 = 3.0;

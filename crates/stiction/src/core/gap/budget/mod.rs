@@ -2,11 +2,10 @@
 //! unexplained; and what the record can tell at all.
 //!
 //! The free run of [`crate::core::gap::diagnose`] asks whether one effect brings the model down to the noise. A real loop's
-//! disturbance wanders, so that none does. Here effects are judged by one-step predictions of a noise model (`arx`), added
+//! disturbance wanders, so that none does. Here effects are judged by one-step predictions of a noise model ([`super::noise`]), added
 //! one by one ([`search`]), asked of both halves (`halves`) and put into one sum (`parts`). It changes the cause only where
 //! both halves confirm the load of another loop.
 
-pub(crate) mod arx;
 pub mod document;
 mod halves;
 pub(crate) mod parts;
@@ -15,7 +14,6 @@ pub mod search;
 pub mod series;
 pub(crate) mod shapes;
 mod smallest;
-pub(super) mod student;
 
 use super::neighbour::Load;
 use super::types::Fit;

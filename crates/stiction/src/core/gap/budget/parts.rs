@@ -6,9 +6,9 @@
 
 use core::f64::consts::PI;
 
-use super::arx::Fit;
 use super::search::{Driver, Model, Searched};
-use super::series::{START, Series};
+use super::series::Series;
+use crate::core::gap::noise::arx::{Fit, START};
 use crate::core::signal::stats;
 
 /// Correlation of two parts from which their split is arbitrary.

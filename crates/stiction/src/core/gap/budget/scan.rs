@@ -3,12 +3,11 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
-
-use super::arx::{Fit, whitened};
-use super::series::{START, Series};
+use super::series::Series;
 use super::shapes::{APART, Shape, wave};
 use crate::core::gap::neighbour::Load;
+use crate::core::gap::noise::arx::{Fit, START, whitened};
+use crate::core::gap::noise::least_squares::{Orthonormal, taken};
 use crate::core::signal::stats;
 
 /// Innovations beyond which they are cut, scales: one wild value must not tell all.
@@ -36,9 +35,6 @@ const MOST_WILD: f64 = 0.04;
 const LAGS: [f64; 5] = [0.01, 0.05, 0.1, 0.2, 0.35];
 const DEAD_TIMES: usize = 13;
 const LAST_DEAD_TIME: f64 = 0.5;
-/// Part of a column's power that must be new.
-const NEW: f64 = 1e-7;
-
 /// Points of the shortest pulse: less are wild values. And the longest, part of the record.
 const SHORTEST_PULSE: usize = 3;
 const LONGEST_PULSE: f64 = 0.1;
@@ -46,81 +42,48 @@ const LONGEST_PULSE: f64 = 0.1;
 /// A step as the noise model sees it.
 struct SeenStep {
     onset: usize,
-    /// Its power, its product with the innovations less what the fit's columns make of it, and its products with them, solved.
+    /// Its power, and its products with the innovations and with what the fit knows.
     power: f64,
     along: f64,
-    known: DVector<f64>,
-}
-
-/// Twice the log likelihood that a column would gain by its power, its new part's product with the innovations, and the power
-/// that the fit knows already.
-fn gain(power: f64, along: f64, known: f64) -> f64 {
-    let new = power - known;
-    if new > NEW * power { along * along / new } else { 0.0 }
+    known: Vec<f64>,
 }
 
 /// A fit's innovations and what it has explained.
 pub struct Scan<'f> {
     fit: &'f Fit,
     n: usize,
-    factor: Cholesky<f64, Dyn>,
-    /// Innovations, cut, of variance 1, beginning at [`START`]; and their products with the fit's columns, solved.
+    /// The fit's columns.
+    known: Orthonormal,
+    /// Innovations, cut, of variance 1, beginning at [`START`], less what the columns make of them.
     score: Vec<f64>,
-    of_score: DVector<f64>,
 }
 
 impl<'f> Scan<'f> {
-    /// `None` where the fit's columns depend on each other.
     #[must_use]
-    pub(crate) fn new(fit: &'f Fit, n: usize) -> Option<Self> {
-        let k = fit.columns.len();
-        let mut gram = DMatrix::zeros(k, k);
-        for i in 0..k {
-            for j in i..k {
-                gram[(j, i)] = stats::dot(&fit.columns[i], &fit.columns[j]);
-                gram[(i, j)] = gram[(j, i)];
-            }
-            gram[(i, i)] += 1e-9 * gram[(i, i)] + 1e-12;
-        }
-        let factor = gram.cholesky()?;
+    pub(crate) fn new(fit: &'f Fit, n: usize) -> Self {
+        let known = Orthonormal::of(fit.columns.iter().cloned());
         let mut score: Vec<f64> = fit.e.iter().map(|e| (e / fit.student.scale).clamp(-MOST, MOST)).collect();
         let deviation = stats::std_dev(&score).max(1e-9);
         score.iter_mut().for_each(|s| *s /= deviation);
-        let of_score = Self::lower(&factor, fit.columns.iter().map(|c| stats::dot(c, &score)))?;
-        Some(Self { fit, n, factor, score, of_score })
+        known.take_out(&mut score);
+        Self { fit, n, known, score }
     }
 
-    fn lower(factor: &Cholesky<f64, Dyn>, products: impl Iterator<Item = f64>) -> Option<DVector<f64>> {
-        let products = DVector::from_vec(products.collect::<Vec<f64>>());
-        factor.l_dirty().solve_lower_triangular(&products)
+    /// Twice the log likelihood that whitened columns would gain, which begin at [`START`].
+    fn gain_of(&self, columns: impl IntoIterator<Item = Vec<f64>>) -> f64 {
+        self.known.beyond(columns).power_of(&self.score)
     }
 
-    fn solved(&self, products: impl Iterator<Item = f64>) -> Option<DVector<f64>> {
-        Self::lower(&self.factor, products)
-    }
-
-    /// Twice the log likelihood that a column would gain by its products with itself, the score and the fit's columns.
-    fn gain(&self, power: f64, with_score: f64, products: impl Iterator<Item = f64>) -> f64 {
-        let Some(known) = self.solved(products) else { return 0.0 };
-        gain(power, with_score - known.dot(&self.of_score), known.norm_squared())
-    }
-
-    /// The same for a whitened column, beginning at [`START`].
-    fn gain_of(&self, x: &[f64]) -> f64 {
-        let products = self.fit.columns.iter().map(|c| stats::dot(c, x));
-        self.gain(stats::dot(x, x), stats::dot(&self.score, x), products)
+    /// The same for a column of all points as it is.
+    fn gain_whitened(&self, column: &[f64]) -> f64 {
+        self.gain_of([whitened(&self.fit.a, column).split_off(START)])
     }
 
     /// A column less what the fit's columns make of it.
     #[must_use]
-    pub(crate) fn new_part(&self, x: &[f64]) -> Vec<f64> {
-        let products: Vec<f64> = self.fit.columns.iter().map(|c| stats::dot(c, x)).collect();
-        let along = self.factor.solve(&DVector::from_vec(products));
-        let mut out = x.to_vec();
-        for (column, a) in self.fit.columns.iter().zip(along.iter()) {
-            out.iter_mut().zip(column).for_each(|(x, c)| *x -= a * c);
-        }
-        out
+    pub(crate) fn new_part(&self, mut x: Vec<f64>) -> Vec<f64> {
+        self.known.take_out(&mut x);
+        x
     }
 
     /// Onsets at which a step is looked for.
@@ -140,10 +103,10 @@ impl<'f> Scan<'f> {
     }
 
     /// Steps at each of these onsets.
-    fn seen_steps(&self, onsets: core::ops::Range<usize>) -> Option<Vec<SeenStep>> {
+    fn seen_steps(&self, onsets: core::ops::Range<usize>) -> Vec<SeenStep> {
         let start = self.whitened_step();
         let (level, start) = start.split_last().map_or((0.0, &[][..]), |(level, start)| (*level, start));
-        let sums: Vec<Vec<f64>> = self.fit.columns.iter().chain([&self.score]).map(|c| tail_sums(c)).collect();
+        let sums: Vec<Vec<f64>> = self.known.0.iter().chain([&self.score]).map(|c| tail_sums(c)).collect();
         let length = self.n - START;
         let product = |x: &[f64], sums: &[f64], at: usize| {
             let first: f64 = start.iter().zip(&x[at..]).map(|(w, x)| w * x).sum();
@@ -154,10 +117,8 @@ impl<'f> Scan<'f> {
             let within = &start[..start.len().min(length - at)];
             let rest = (length - at).saturating_sub(start.len()) as f64;
             let power = within.iter().map(|w| w * w).sum::<f64>() + level * level * rest;
-            let of = |(x, sums): (&Vec<f64>, &Vec<f64>)| product(x, sums, at);
-            let with_score = of((&self.score, &sums[sums.len() - 1]));
-            let known = self.solved(self.fit.columns.iter().zip(&sums).map(of))?;
-            Some(SeenStep { onset, power, along: with_score - known.dot(&self.of_score), known })
+            let known = self.known.0.iter().zip(&sums).map(|(x, sums)| product(x, sums, at)).collect();
+            SeenStep { onset, power, along: product(&self.score, &sums[sums.len() - 1], at), known }
         };
         onsets.map(seen).collect()
     }
@@ -165,9 +126,8 @@ impl<'f> Scan<'f> {
     /// The most promising `most` steps.
     #[must_use]
     pub(crate) fn steps(&self, most: usize) -> Vec<Shape> {
-        let gain = |step: &SeenStep| gain(step.power, step.along, step.known.norm_squared());
-        let found = self.seen_steps(self.onsets()).unwrap_or_default();
-        let found = found.iter().map(|step| (gain(step), step.onset)).collect();
+        let gain = |step: &SeenStep| taken(step.power, step.along, stats::dot(&step.known, &step.known));
+        let found = self.seen_steps(self.onsets()).iter().map(|step| (gain(step), step.onset)).collect();
         best(found, most, |_, _| true).into_iter().map(Shape::Step).collect()
     }
 
@@ -193,14 +153,14 @@ impl<'f> Scan<'f> {
                 (0..length + step.len()).scan(0.0, sum).collect()
             })
             .collect();
-        let steps = self.seen_steps(self.onsets().start..self.n).unwrap_or_default();
+        let steps = self.seen_steps(self.onsets().start..self.n);
         let mut found: Vec<(f64, (usize, usize))> = Vec::new();
         for (k, on) in steps.iter().enumerate() {
             for (length, powers) in self.lengths().zip(&powers) {
                 let Some(off) = steps.get(k + length) else { break };
                 let power = powers[(self.n - on.onset).min(powers.len()) - 1];
-                let known = on.known.norm_squared() + off.known.norm_squared() - 2.0 * on.known.dot(&off.known);
-                found.push((gain(power, on.along - off.along, known), (on.onset, length)));
+                let known = on.known.iter().zip(&off.known).map(|(on, off)| (on - off) * (on - off)).sum();
+                found.push((taken(power, on.along - off.along, known), (on.onset, length)));
             }
         }
         let apart =
@@ -217,10 +177,7 @@ impl<'f> Scan<'f> {
     /// The most promising `most` ramps.
     #[must_use]
     pub(crate) fn ramps(&self, most: usize) -> Vec<Shape> {
-        let score = |from: usize| {
-            let column = Shape::Ramp(from).columns(self.n, &[]).remove(0);
-            (self.gain_of(&whitened(&self.fit.a, &column)[START..]), from)
-        };
+        let score = |from: usize| (self.gain_whitened(&Shape::Ramp(from).columns(self.n, &[])[0]), from);
         best(self.ramp_onsets().into_iter().map(score).collect(), most, |_, _| true)
             .into_iter()
             .map(Shape::Ramp)
@@ -246,22 +203,8 @@ impl<'f> Scan<'f> {
     /// The most promising `most` sinusoids. A is linear, so that it leaves the plane of sine and cosine as it is.
     #[must_use]
     pub(crate) fn sinusoids(&self, frequencies: &[f64], most: usize) -> Vec<Shape> {
-        let gain = |frequency: f64| {
-            let [s, c] = wave(frequency, self.n).map(|mut x| x.split_off(START));
-            let of = |x: &[f64]| self.solved(self.fit.columns.iter().map(|column| stats::dot(column, x)));
-            let (Some(by_s), Some(by_c)) = (of(&s), of(&c)) else { return 0.0 };
-            let along = |x: &[f64], by: &DVector<f64>| stats::dot(&self.score, x) - by.dot(&self.of_score);
-            let (p, q) = (along(&s, &by_s), along(&c, &by_c));
-            let ss = stats::dot(&s, &s) - by_s.norm_squared();
-            let cc = stats::dot(&c, &c) - by_c.norm_squared();
-            let sc = stats::dot(&s, &c) - by_s.dot(&by_c);
-            let size = ss * cc - sc * sc;
-            if size > NEW * (self.n * self.n) as f64 {
-                (p * p * cc - 2.0 * p * q * sc + q * q * ss) / size
-            } else {
-                0.0
-            }
-        };
+        let gain =
+            |frequency: f64| self.gain_of(wave(frequency, self.n).map(|mut x| x.split_off(START)));
         let found = frequencies.iter().map(|f| (gain(*f), *f)).collect();
         let apart = |x: f64, y: f64| (x - y).abs() > APART / self.n as f64;
         best(found, most, apart).into_iter().map(Shape::Sinusoid).collect()
@@ -276,10 +219,7 @@ impl<'f> Scan<'f> {
             .flat_map(|lag| (0..DEAD_TIMES).map(move |i| [lag * series.period, dead_time(i).max(1.0)]))
             .collect();
         let of_load = |load: &Arc<Load>| {
-            let score = |place: &[f64; 2]| {
-                let column = load.behind(place[0], place[1], self.n);
-                (self.gain_of(&whitened(&self.fit.a, &column)[START..]), *place)
-            };
+            let score = |place: &[f64; 2]| (self.gain_whitened(&load.behind(place[0], place[1], self.n)), *place);
             let found = best(places.iter().map(score).collect(), most, |_, _| true);
             found.into_iter().map(|place| Shape::Neighbour(Arc::clone(load), place)).collect::<Vec<_>>()
         };
@@ -345,7 +285,6 @@ fn best<T: Copy>(mut found: Vec<(f64, T)>, most: usize, apart: impl Fn(T, T) -> 
 mod tests {
     use super::*;
     use crate::core::gap::budget::Known;
-    use crate::core::gap::budget::arx::Design;
     use crate::core::record::Record;
     use crate::core::sim::noise::Noise;
 
@@ -362,19 +301,17 @@ mod tests {
             .collect();
         let known = Known { period: Some(40.0), ..Known::default() };
         let series = Series::of(&Record::uniform(1.0, op, pv), &known).unwrap();
-        let fit = Design::new(&series, Some(&series.op)).fit(4, &[], None).unwrap();
-        let scan = Scan::new(&fit, 500).unwrap();
-        let long = |onset: usize| scan.gain_of(&whitened(&fit.a, &Shape::Step(onset).columns(500, &[])[0])[START..]);
+        let fit = series.driven_by(Some(&series.op)).fit(4, &[], None).unwrap();
+        let scan = Scan::new(&fit, 500);
+        let long = |onset: usize| scan.gain_whitened(&Shape::Step(onset).columns(500, &[])[0]);
         let best = scan.onsets().max_by(|x, y| long(*x).total_cmp(&long(*y))).unwrap();
         assert_eq!(scan.steps(1), [Shape::Step(best)]);
         assert!(best.abs_diff(300) <= 2, "{best}");
-        let long = |at: usize, length: usize| {
-            scan.gain_of(&whitened(&fit.a, &Shape::Pulse(at, length).columns(500, &[])[0])[START..])
-        };
+        let long = |at: usize, length: usize| scan.gain_whitened(&Shape::Pulse(at, length).columns(500, &[])[0]);
         let all = scan.onsets().flat_map(|at| (3..=50).map(move |length| (at, length))).filter(|(at, l)| at + l < 500);
         let best = all.max_by(|x, y| long(x.0, x.1).total_cmp(&long(y.0, y.1))).unwrap();
         assert_eq!(scan.pulses(1), [Shape::Pulse(best.0, best.1)]);
-        let new = scan.new_part(&whitened(&fit.a, &Shape::Step(300).columns(500, &[])[0])[START..]);
+        let new = scan.new_part(whitened(&fit.a, &Shape::Step(300).columns(500, &[])[0]).split_off(START));
         assert!(fit.columns.iter().all(|c| stats::dot(c, &new).abs() < 1e-4 * stats::dot(c, c).sqrt()));
     }
 }

@@ -1,10 +1,10 @@
 //! Effects added one by one under the noise model: the best of all shapes, refitted, as long as it gains enough.
 
-use super::arx::{Design, Fit};
 use super::scan::Scan;
 use super::series::{Run, Series};
 use super::shapes::{APART, Shape};
 use crate::core::gap::effects;
+use crate::core::gap::noise::arx::{Design, Fit};
 use crate::core::gap::set_point::explains;
 use crate::core::gap::structure::BASE;
 use crate::core::signal::stats;
@@ -81,10 +81,10 @@ impl Model {
     /// Chooses the driver and the order by BIC; `None` where nothing can be fitted.
     #[must_use]
     pub(crate) fn of(series: &Series) -> Option<Self> {
-        let alone = Design::new(series, None).best(0)?.0;
-        let mut choices = vec![Choice::of(Driver::Op, Design::new(series, Some(&series.op)), 0)?];
+        let alone = series.driven_by(None).best(0)?.0;
+        let mut choices = vec![Choice::of(Driver::Op, series.driven_by(Some(&series.op)), 0)?];
         for (place, run) in series.runs.iter().enumerate() {
-            let by_stem = |stem: &Vec<f64>| Choice::of(Driver::Stem(place), Design::new(series, Some(stem)), BANDS);
+            let by_stem = |stem: &Vec<f64>| Choice::of(Driver::Stem(place), series.driven_by(Some(stem)), BANDS);
             choices.extend(run.stem.as_ref().and_then(by_stem));
         }
         let most = |choices: &[Choice]| choices.iter().max_by(|x, y| x.bic.total_cmp(&y.bic)).cloned();
@@ -92,7 +92,7 @@ impl Model {
         // What a model runs away with is no part of PV.
         let usable = series.runs.iter().enumerate().filter(|(_, run)| stats::variance(&run.pv) < FAR);
         choices.extend(usable.filter_map(|(place, run)| {
-            Choice::of(Driver::Run(place), Design::of_residual(series, &run.pv), run.parameters)
+            Choice::of(Driver::Run(place), Design::of_residual(&series.pv, &run.pv, series.period), run.parameters)
         }));
         let best = most(&choices)?;
         choices.retain(|choice| choice.driver != best.driver);
@@ -239,14 +239,14 @@ pub(crate) fn search(series: &Series, model: &Model) -> Searched {
 /// The shape that gains most beside those that are there.
 fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
     let n = series.n();
-    let scan = Scan::new(&so_far.fit, n)?;
+    let scan = Scan::new(&so_far.fit, n);
     let low = (so_far.fit.order() > LOW).then(|| {
         let design = model.design.with_y(model.design.less(&so_far.columns, &so_far.fit.beta));
         design.fit(LOW, &[], None)
     });
     let low = low.flatten();
     let frequencies = scan.frequencies(series);
-    let shapes = candidates(series, &scan, low.as_ref().and_then(|fit| Scan::new(fit, n)).as_ref(), &frequencies);
+    let shapes = candidates(series, &scan, low.as_ref().map(|fit| Scan::new(fit, n)).as_ref(), &frequencies);
     let in_run = |shape: &Shape| {
         let run = model.cause(series).map(|(run, _)| run.id.as_str());
         matches!(shape, Shape::Drift | Shape::Bend | Shape::Neighbour(..))

@@ -4,15 +4,13 @@ use std::sync::Arc;
 
 use super::Known;
 use crate::core::gap::neighbour::Load;
+use crate::core::gap::noise::arx::{Design, LONGEST_LAG, START};
 use crate::core::gap::problem::period_of;
 use crate::core::gap::set_point::{self, Move};
 use crate::core::gap::types::Fit;
 use crate::core::record::Record;
 use crate::core::signal::{detrend, stats};
 
-/// First point whose innovation counts, and how far its prediction looks back in PV and in free runs.
-pub(crate) const START: usize = 24;
-pub(crate) const LONGEST_LAG: usize = 12;
 /// Most points.
 pub(crate) const MOST: usize = 900;
 /// Fewest points that are split.
@@ -140,6 +138,12 @@ impl Series {
         };
         self.loads = loads.iter().filter_map(boxed).collect();
         self
+    }
+
+    /// The noise model's design of PV driven by a signal in standard deviations, or by nothing.
+    #[must_use]
+    pub(crate) fn driven_by(&self, u: Option<&[f64]>) -> Design {
+        Design::new(&self.pv, u, self.period)
     }
 
     /// Number of points.

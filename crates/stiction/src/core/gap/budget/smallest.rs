@@ -1,11 +1,11 @@
 //! From which size on an effect would have been named in this record: put into PV and looked for as any other, so that what
 //! another effect or the disturbance takes of it counts, too.
 
-use super::arx::whitened;
 use super::scan::Scan;
 use super::search::{LEAST_GAIN, Model, Searched, is_same, search};
-use super::series::{START, Series};
+use super::series::Series;
 use super::shapes::{APART, Shape};
+use crate::core::gap::noise::arx::{START, whitened};
 
 /// Onsets at which the innovations of a step are asked, and the part of them at which it must show.
 const ONSETS: usize = 20;
@@ -54,15 +54,15 @@ struct Trial<'r> {
 }
 
 impl<'r> Trial<'r> {
-    fn new(series: &'r Series, searched: &'r Searched) -> Option<Self> {
-        Some(Self { series, searched, scan: Scan::new(&searched.fit, series.n())? })
+    fn new(series: &'r Series, searched: &'r Searched) -> Self {
+        Self { series, searched, scan: Scan::new(&searched.fit, series.n()) }
     }
 
     /// The least size of a column whose innovations cost that much, nats, the noise model left as it is.
     fn shown(&self, column: &[f64], cost: f64) -> Option<f64> {
         let fit = &self.searched.fit;
         let before = fit.student.loss(fit.e.iter().copied());
-        let seen = self.scan.new_part(&whitened(&fit.a, column)[START..]);
+        let seen = self.scan.new_part(whitened(&fit.a, column).split_off(START));
         let gain = |size: f64| fit.student.loss(fit.e.iter().zip(&seen).map(|(e, x)| e + size * x)) - before;
         least(SIZES, HALVINGS, |size| gain(size) >= cost)
     }
@@ -97,7 +97,7 @@ impl<'r> Trial<'r> {
 /// The least step that would have been named, standard deviations of PV.
 #[must_use]
 pub(crate) fn step(series: &Series, model: &Model, searched: &Searched) -> Option<f64> {
-    let trial = Trial::new(series, searched)?;
+    let trial = Trial::new(series, searched);
     let n = series.n();
     let onsets = trial.scan.onsets();
     let cost = Shape::Step(0).cost(n, onsets.len()) + LEAST_GAIN;
@@ -118,7 +118,7 @@ pub(crate) fn step(series: &Series, model: &Model, searched: &Searched) -> Optio
 /// point.
 #[must_use]
 pub(crate) fn sinusoid(series: &Series, model: &Model, searched: &Searched) -> Option<(f64, f64)> {
-    let trial = Trial::new(series, searched)?;
+    let trial = Trial::new(series, searched);
     let n = series.n();
     let frequencies = trial.scan.frequencies(series);
     let by = |f: &&f64| (**f * n as f64 - CYCLES).abs();

@@ -10,6 +10,7 @@
 //! Clifford 1991).
 
 use super::super::neighbour::{Load, Neighbour};
+use super::super::noise::least_squares::{Orthonormal, taken};
 use super::super::problem::Problem;
 use crate::core::ident::random::{seeded_rng, uniform};
 use crate::core::signal::stats;
@@ -36,8 +37,6 @@ const ENOUGH: usize = 10;
 const FEWEST_SHIFTS: usize = 20;
 /// Fewest bins that a comparison is made on.
 const FEWEST_BINS: usize = 40;
-/// Share of a column's power below which it is a sum of the others.
-const NOTHING_OWN: f64 = 1e-6;
 
 /// One signal behind one lag, and where it stands among the neighbours.
 struct Filtered {
@@ -74,8 +73,7 @@ pub(super) struct Scan {
 /// PV on some bins, free of what its own past and OP tell.
 struct Target {
     bins: Vec<usize>,
-    /// Orthonormal.
-    own: Vec<Vec<f64>>,
+    own: Orthonormal,
     error: Vec<f64>,
     power: f64,
 }
@@ -86,22 +84,11 @@ impl Target {
         if bins.len() < FEWEST_BINS {
             return None;
         }
-        let mut own = vec![vec![1.0 / (bins.len() as f64).sqrt(); bins.len()]];
         let lagged = OWN.into_iter().map(|l| (pv, l)).chain(OP.into_iter().map(|l| (op, l)));
-        for (signal, back) in lagged {
-            let mut column: Vec<f64> = bins.iter().map(|k| signal[k - back]).collect();
-            let before = stats::dot(&column, &column);
-            // Twice, since once leaves what rounding adds.
-            take(&mut column, &own);
-            take(&mut column, &own);
-            let after = stats::dot(&column, &column);
-            if after > NOTHING_OWN * before {
-                column.iter_mut().for_each(|x| *x /= after.sqrt());
-                own.push(column);
-            }
-        }
+        let past = lagged.map(|(signal, back)| bins.iter().map(|k| signal[k - back]).collect());
+        let own = Orthonormal::of(core::iter::once(vec![1.0; bins.len()]).chain(past));
         let mut error: Vec<f64> = bins.iter().map(|k| pv[*k]).collect();
-        take(&mut error, &own);
+        own.take_out(&mut error);
         let power = stats::dot(&error, &error);
         (power > 0.0).then_some(Self { bins, own, error, power })
     }
@@ -110,19 +97,8 @@ impl Target {
     fn share(&self, signal: &[f64], back: isize, column: &mut Vec<f64>) -> f64 {
         column.clear();
         column.extend(self.bins.iter().map(|k| signal[k.wrapping_add_signed(-back)]));
-        let whole = stats::dot(column, column);
-        let known: f64 = self.own.iter().map(|q| stats::dot(column, q)).map(|along| along * along).sum();
         let along = stats::dot(column, &self.error);
-        let left = whole - known;
-        if left > NOTHING_OWN * whole { along * along / left / self.power } else { 0.0 }
-    }
-}
-
-/// Takes out of a column what orthonormal ones have of it.
-fn take(column: &mut [f64], known: &[Vec<f64>]) {
-    for q in known {
-        let along = stats::dot(column, q);
-        column.iter_mut().zip(q).for_each(|(x, q)| *x -= along * q);
+        taken(stats::dot(column, column), along, self.own.power_of(column)) / self.power
     }
 }
 

@@ -1,10 +1,16 @@
-//! The noise that no free run explains: its floor, and what a noise model makes of a residual one step ahead.
+//! The noise that no free run explains: its floor, and its models one step ahead, by autoregressions (AR, and ARX in [`arx`]) whose
+//! innovations follow Student's t.
 
-use super::budget::student::Student;
+pub(crate) mod arx;
+pub(crate) mod least_squares;
+mod student;
+
 use super::problem::Problem;
 use super::types::{Floor, OneStep};
-use crate::core::ident::least_squares::Gram;
 use crate::core::signal::stats;
+pub(crate) use arx::whitened;
+use least_squares::solve;
+use student::Student;
 
 /// Order of the autoregression.
 const ORDER: usize = 4;
@@ -33,7 +39,7 @@ pub(crate) fn floor(pv: &[f64], measured: &[bool], straight: bool) -> Floor {
     let grid = quantum.unwrap_or(0.0) / 12.0_f64.sqrt();
     // Rounding shows in the second differences too where it is finer than the noise.
     let noise_floor = noise_sd.map(|sd| if sd > 2.0 * grid { sd } else { sd + grid });
-    Floor { noise_sd, quantum, noise_floor: noise_floor.filter(|f| *f > 0.0), high_band_sd: None }
+    Floor { noise_sd, noise_floor: noise_floor.filter(|f| *f > 0.0) }
 }
 
 /// Standard deviation of the white part of what a model leaves at the points that were `measured`, where a recorder kept
@@ -43,13 +49,6 @@ pub(crate) fn of_measured(residual: &[f64], measured: &[bool], from: usize) -> O
     let kept: Vec<f64> = (from..residual.len()).filter(|k| measured[*k]).map(|k| residual[k]).collect();
     let first: Vec<f64> = kept.windows(2).map(|w| w[1] - w[0]).collect();
     (first.len() > 20).then(|| stats::clipped_sd(&first) / core::f64::consts::SQRT_2)
-}
-
-/// Standard deviation of a residual's white part from its second differences, over the given stretches.
-#[must_use]
-pub(crate) fn high_band(residual: &[f64], stretches: &[[usize; 2]]) -> Option<f64> {
-    let second: Vec<f64> = stretches.iter().flat_map(|[a, b]| stats::second_differences(&residual[*a..*b])).collect();
-    (second.len() > 20).then(|| white_sd(&second))
 }
 
 /// Second differences of points that were all measured.
@@ -63,22 +62,42 @@ fn white_sd(second: &[f64]) -> f64 {
     stats::clipped_sd(second) / 6.0_f64.sqrt()
 }
 
-/// Mean squared error of an autoregression of a residual, one step ahead over its stretches; `None` for too few points.
-#[must_use]
-pub(crate) fn autoregression(residual: &[f64], stretches: &[[usize; 2]]) -> Option<f64> {
-    let taken = coefficients(residual, stretches, ORDER)?;
-    let left: Vec<f64> = innovations(residual, stretches, &taken).map(|e| e * e).collect();
-    Some(stats::mean(&left))
+/// The points at which an autoregression of any order up to [`ORDER`] predicts.
+fn predicted(stretches: &[[usize; 2]]) -> impl Iterator<Item = usize> {
+    stretches.iter().flat_map(|[from, to]| from + ORDER..*to)
 }
 
-/// Mean squared error one step ahead of noise with a memory of first order, and its pole.
+/// An autoregression of a residual by least squares over its stretches: coefficients of A by rising lag, the first 1; `None`
+/// for too few points.
 #[must_use]
-pub(crate) fn first_order(residual: &[f64], stretches: &[[usize; 2]]) -> Option<(f64, f64)> {
-    let pairs = || stretches.iter().flat_map(|[a, b]| residual[*a..*b].windows(2));
-    let sums = pairs().fold([0.0; 3], |s, w| [s[0] + w[0] * w[0], s[1] + w[0] * w[1], s[2] + 1.0]);
-    let pole = (sums[0] > 0.0).then(|| sums[1] / sums[0])?;
-    let sse: f64 = pairs().map(|w| (w[1] - pole * w[0]) * (w[1] - pole * w[0])).sum();
-    Some((sse / sums[2], pole))
+pub(crate) fn autoregression(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<Vec<f64>> {
+    let at = |lag: usize| predicted(stretches).map(|k| residual[k - lag]).collect::<Vec<f64>>();
+    let (y, past) = (at(0), (1..=order).map(at).collect::<Vec<_>>());
+    let enough = y.len() >= 10 * ORDER;
+    let found = enough.then(|| solve(&past, &y, &vec![1.0; y.len()])).flatten()?;
+    Some(core::iter::once(1.0).chain(found.iter().map(|c| -c)).collect())
+}
+
+/// What an autoregression leaves of a residual at each point that it predicts.
+#[must_use]
+pub(crate) fn innovations(residual: &[f64], stretches: &[[usize; 2]], a: &[f64]) -> Vec<f64> {
+    let all = whitened(a, residual);
+    predicted(stretches).map(|k| all[k]).collect()
+}
+
+/// Mean of the squares.
+#[must_use]
+pub(crate) fn mean_square(e: &[f64]) -> f64 {
+    stats::dot(e, e) / e.len().max(1) as f64
+}
+
+/// Mean squared error one step ahead of an autoregression of the highest order, and of one of first order with its pole.
+#[must_use]
+pub(crate) fn memory(residual: &[f64], stretches: &[[usize; 2]]) -> Option<(f64, f64, f64)> {
+    let left = |a: &[f64]| mean_square(&innovations(residual, stretches, a));
+    let [high, first] = [ORDER, 1].map(|order| autoregression(residual, stretches, order));
+    let first = first?;
+    Some((left(&high?), left(&first), -first[1]))
 }
 
 /// How likely a residual in PV units is one step ahead, by the order of its noise.
@@ -86,43 +105,17 @@ pub(crate) fn first_order(residual: &[f64], stretches: &[[usize; 2]]) -> Option<
 pub(crate) fn one_step(residual: &[f64], problem: &Problem) -> OneStep {
     let deviation = problem.normalised.deviation;
     let of_order = |order: usize| {
-        let taken = coefficients(residual, &problem.train, order)?;
-        let [train, test] = [&problem.train, &problem.test]
-            .map(|stretches| -> Vec<f64> { innovations(residual, stretches, &taken).map(|e| e / deviation).collect() });
-        let student = Student::of(&train, &vec![true; train.len()]);
+        let a = autoregression(residual, &problem.train, order)?;
+        let [train, test] = [&problem.train, &problem.test].map(|stretches| {
+            let e = innovations(residual, stretches, &a);
+            e.into_iter().map(|e| e / deviation).collect::<Vec<f64>>()
+        });
+        let student = Student::of(train.iter().copied());
         let loss = |e: &[f64]| student.loss(e.iter().copied()) / e.len().max(1) as f64;
         let fitted = student.log_likelihood / train.len() as f64;
         Some([fitted, fitted + loss(&train) - loss(&test)])
     };
     core::array::from_fn(|order| of_order(order).unwrap_or_default())
-}
-
-/// The innovation of an autoregression at each point that it predicts.
-fn innovations(residual: &[f64], stretches: &[[usize; 2]], coefficients: &[f64]) -> impl Iterator<Item = f64> {
-    let points = stretches.iter().flat_map(|[a, b]| a + ORDER..*b);
-    points.map(|k| {
-        let past = &residual[k - coefficients.len()..k];
-        residual[k] - coefficients.iter().zip(past).map(|(c, x)| c * x).sum::<f64>()
-    })
-}
-
-/// The coefficients of an autoregression by least squares, the farthest point's first; `None` for too few points.
-fn coefficients(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<Vec<f64>> {
-    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); order + 1];
-    for k in stretches.iter().flat_map(|[a, b]| a + ORDER..*b) {
-        for (lag, column) in columns.iter_mut().enumerate() {
-            // The last column is the point itself.
-            column.push(residual[k - (order - lag)]);
-        }
-    }
-    if columns[order].len() < 10 * ORDER {
-        return None;
-    }
-    let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-    let mut gram = Gram::of(&views);
-    gram.eliminate(order);
-    let all = gram.back(order, &[]);
-    Some(all[..order].to_vec())
 }
 
 #[cfg(test)]
@@ -140,9 +133,9 @@ mod tests {
         let slow: Vec<f64> =
             noise(2000).iter().enumerate().map(|(k, e)| 0.1 * e + 3.0 * libm::sin(k as f64 * 0.05)).collect();
         let found = floor(&slow, &[true; 2000], false);
-        assert!((found.noise_floor.unwrap() / 0.1 - 1.0).abs() < 0.08 && found.quantum.is_none());
+        assert!((found.noise_floor.unwrap() / 0.1 - 1.0).abs() < 0.08 && quantum(&slow).is_none());
         let rounded: Vec<f64> = slow.iter().map(|x| crate::core::sim::noise::quantise(*x, 0.5)).collect();
-        assert!((floor(&rounded, &[true; 2000], false).quantum.unwrap() - 0.5).abs() < 1e-9);
+        assert!((quantum(&rounded).unwrap() - 0.5).abs() < 1e-9);
         let held: Vec<f64> = (0..2000).map(|k| slow[k - k % 5]).collect();
         assert_eq!(floor(&held, &[true; 2000], false).noise_floor, None);
     }
@@ -153,7 +146,11 @@ mod tests {
         for k in 1..x.len() {
             x[k] += 0.9 * x[k - 1];
         }
-        let found = autoregression(&x, &[[0, 1500], [1600, 3000]]).unwrap();
-        assert!((found - 1.0).abs() < 0.1, "{found}");
+        let (high, first, pole) = memory(&x, &[[0, 1500], [1600, 3000]]).unwrap();
+        assert!(
+            (high - 1.0).abs() < 0.1 && (first - 1.0).abs() < 0.1 && (pole - 0.9).abs() < 0.03,
+            "{high} {first} {pole}"
+        );
+        assert_eq!(autoregression(&x, &[[0, 1500]], 0).unwrap(), [1.0]);
     }
 }

@@ -5,21 +5,20 @@
 //! coefficients `beta` enters as `A(q) (y - E beta)`, so that it is seen through the innovations and not through a free run;
 //! `beta` and `A` take turns. Innovations follow Student's t, by reweighted least squares.
 
-use nalgebra::{DMatrix, DVector};
-
-use super::series::{LONGEST_LAG, START, Series};
+use super::least_squares::{left, solve};
 use super::student::Student;
 use crate::core::signal::stats;
 
+/// First point whose innovation counts, and how far its prediction looks back in PV and in free runs.
+pub(crate) const START: usize = 24;
+pub(crate) const LONGEST_LAG: usize = 12;
 /// Orders of A that are tried.
-pub(crate) const ORDERS: [usize; 5] = [1, 2, 4, 8, LONGEST_LAG];
+const ORDERS: [usize; 5] = [1, 2, 4, 8, LONGEST_LAG];
 /// Bins of u, and how many of them reach over a period.
 const BINS: usize = 8;
 const BINS_IN_PERIOD: f64 = 24.0;
 /// Rounds in which weights, A and effects take turns.
 const ROUNDS: usize = 3;
-/// What is added to the diagonal of the normal equations, relative and absolute.
-const RIDGE: [f64; 2] = [1e-9, 1e-12];
 /// Variances of PV from which the process' part alone is larger than any record's: B/A is not stable.
 const LARGEST: f64 = 20.0;
 
@@ -78,48 +77,20 @@ pub(crate) fn whitened(a: &[f64], x: &[f64]) -> Vec<f64> {
     (0..x.len()).map(at).collect()
 }
 
-/// Weighted least squares of `y` on `columns`; `None` where the equations have no solution.
-pub(super) fn solve(columns: &[Vec<f64>], y: &[f64], weights: &[f64]) -> Option<Vec<f64>> {
-    let k = columns.len();
-    let mut gram = DMatrix::zeros(k, k);
-    let mut right = DVector::zeros(k);
-    for (i, column) in columns.iter().enumerate() {
-        let weighted: Vec<f64> = column.iter().zip(weights).map(|(x, w)| x * w).collect();
-        for (j, other) in columns.iter().enumerate().skip(i) {
-            gram[(j, i)] = stats::dot(&weighted, other);
-            gram[(i, j)] = gram[(j, i)];
-        }
-        right[i] = stats::dot(&weighted, y);
-    }
-    for i in 0..k {
-        gram[(i, i)] += RIDGE[0] * gram[(i, i)] + RIDGE[1];
-    }
-    let solved = gram.cholesky()?.solve(&right);
-    solved.iter().all(|v| v.is_finite()).then(|| solved.as_slice().to_vec())
-}
-
-fn left(columns: &[Vec<f64>], y: &[f64], coefficients: &[f64]) -> Vec<f64> {
-    let mut e = y.to_vec();
-    for (column, c) in columns.iter().zip(coefficients) {
-        e.iter_mut().zip(column).for_each(|(e, x)| *e -= c * x);
-    }
-    e
-}
-
 impl Design {
-    /// The design of a series driven by `u` (standard deviations of OP), or by nothing.
+    /// The design of PV `y` driven by `u`, both in standard deviations, or by nothing; `period` is that of the oscillation, points.
     #[must_use]
-    pub(crate) fn new(series: &Series, u: Option<&[f64]>) -> Self {
-        let width = ((series.period / BINS_IN_PERIOD).round() as usize).max(1);
+    pub(crate) fn new(y: &[f64], u: Option<&[f64]>, period: f64) -> Self {
+        let width = ((period / BINS_IN_PERIOD).round() as usize).max(1);
         let bins = u.map(|u| bins(u, width)).unwrap_or_default();
-        Self { y: series.pv.clone(), run: None, bins, width, used: vec![true; series.n()] }
+        Self { y: y.to_vec(), run: None, bins, width, used: vec![true; y.len()] }
     }
 
-    /// The design of what a free run leaves of a series.
+    /// The design of what a free run leaves of PV.
     #[must_use]
-    pub(crate) fn of_residual(series: &Series, run: &[f64]) -> Self {
-        let y = series.pv.iter().zip(run).map(|(y, x)| y - x).collect();
-        Self { y, run: Some(run.to_vec()), ..Self::new(series, None) }
+    pub(crate) fn of_residual(pv: &[f64], run: &[f64], period: f64) -> Self {
+        let y: Vec<f64> = pv.iter().zip(run).map(|(y, x)| y - x).collect();
+        Self { run: Some(run.to_vec()), ..Self::new(&y, None, period) }
     }
 
     /// PV where `y` is what the free run leaves.
@@ -196,7 +167,7 @@ impl Design {
             let e = left(&columns, &y[START..], &found);
             beta.iter_mut().zip(&found[own..]).for_each(|(beta, more)| *beta += more);
             a = core::iter::once(1.0).chain(found[..order].iter().map(|x| -x)).collect();
-            let student = Student::of(&e, used);
+            let student = Student::of(e.iter().zip(used).filter(|(_, used)| **used).map(|(e, _)| *e));
             if round == last {
                 let b = found[order..own - 1].to_vec();
                 columns.truncate(own);
@@ -277,12 +248,11 @@ fn bins(u: &[f64], width: usize) -> Vec<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::gap::budget::Known;
-    use crate::core::record::Record;
     use crate::core::sim::noise::Noise;
 
-    /// A first-order process driven by steps of OP, with a disturbance that wanders.
-    fn series() -> Series {
+    /// PV and OP of a first-order process driven by steps of OP, with a disturbance that wanders, in standard deviations, and
+    /// the process' gain in these.
+    fn driven() -> ([Vec<f64>; 2], f64) {
         let (mut noise, mut x, mut d) = (Noise::new(7, 2), 0.0, 0.0);
         let op: Vec<f64> = (0..800).map(|k| if (k / 37) % 2 == 0 { 1.0 } else { -1.0 }).collect();
         let mut pv = Vec::new();
@@ -291,28 +261,30 @@ mod tests {
             d = 0.9 * d + 0.05 * noise.gaussian();
             pv.push(x + d);
         }
-        Series::of(&Record::uniform(1.0, op, pv), &Known { period: Some(74.0), ..Known::default() }).unwrap()
+        let gain = stats::std_dev(&op) / stats::std_dev(&pv);
+        let scaled = |x: &[f64]| x.iter().map(|v| (v - stats::mean(x)) / stats::std_dev(x)).collect();
+        ([scaled(&pv), scaled(&op)], gain)
     }
 
     #[test]
     fn a_shared_pole_and_the_gain_are_found() {
-        let series = series();
-        let design = Design::new(&series, Some(&series.op));
+        let ([pv, op], own_gain) = driven();
+        let design = Design::new(&pv, Some(&op), 74.0);
         let (fit, _) = design.best(0).unwrap();
         assert!(fit.order() <= 4 && (fit.a.iter().sum::<f64>() - 0.1).abs() < 0.1, "{:?}", fit.a);
         let x = design.simulated(&fit).unwrap();
-        let gain = fit.b.iter().sum::<f64>() / fit.a.iter().sum::<f64>() * series.of_pv[1] / series.op_deviation;
+        let gain = fit.b.iter().sum::<f64>() / fit.a.iter().sum::<f64>() / own_gain;
         assert!((gain - 1.0).abs() < 0.15, "{gain}");
-        assert!(stats::dot(&x, &series.pv) / stats::dot(&series.pv, &series.pv) > 0.8);
-        let without = Design::new(&series, None).best(0).unwrap().0;
+        assert!(stats::dot(&x, &pv) / stats::dot(&pv, &pv) > 0.8);
+        let without = Design::new(&pv, None, 74.0).best(0).unwrap().0;
         assert!(fit.log_likelihood() - without.log_likelihood() > 100.0);
     }
 
     #[test]
     fn the_size_of_a_step_is_found_through_the_innovations() {
-        let series = series();
-        let step: Vec<f64> = (0..series.n()).map(|k| f64::from(u8::from(k >= 433))).collect();
-        let design = Design::new(&series, Some(&series.op));
+        let ([pv, op], _) = driven();
+        let step: Vec<f64> = (0..pv.len()).map(|k| f64::from(u8::from(k >= 433))).collect();
+        let design = Design::new(&pv, Some(&op), 74.0);
         let y = design.less(core::slice::from_ref(&step), &[-0.8]);
         let design = design.with_y(y);
         let before = design.fit(2, &[], None).unwrap();

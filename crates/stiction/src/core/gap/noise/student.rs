@@ -24,11 +24,11 @@ pub struct Student {
 }
 
 impl Student {
-    /// The likeliest of two degrees of freedom and any scale for the innovations `e` of the points in `used`.
+    /// The likeliest of two degrees of freedom and any scale for innovations.
     #[must_use]
-    pub(crate) fn of(e: &[f64], used: &[bool]) -> Self {
-        let kept: Vec<f64> = e.iter().zip(used).filter(|(_, used)| **used).map(|(e, _)| e * e).collect();
-        let fits = FREEDOM.map(|freedom| Self::with(freedom, &kept));
+    pub(crate) fn of(e: impl Iterator<Item = f64>) -> Self {
+        let squares: Vec<f64> = e.map(|e| e * e).collect();
+        let fits = FREEDOM.map(|freedom| Self::with(freedom, &squares));
         if fits[1].log_likelihood > fits[0].log_likelihood { fits[1] } else { fits[0] }
     }
 
@@ -83,14 +83,13 @@ mod tests {
     fn a_wild_value_hardly_moves_the_scale() {
         let mut noise = Noise::new(3, 1);
         let mut e: Vec<f64> = (0..800).map(|_| 0.2 * noise.gaussian()).collect();
-        let used = vec![true; 800];
-        let clean = Student::of(&e, &used);
+        let clean = Student::of(e.iter().copied());
         assert!((clean.scale - 0.2).abs() < 0.02 && clean.freedom == 50.0, "{clean:?}");
         e[400] = 30.0;
-        let wild = Student::of(&e, &used);
+        let wild = Student::of(e.iter().copied());
         assert!((wild.scale / clean.scale - 1.0).abs() < 0.1 && wild.freedom == 8.0, "{wild:?}");
         assert!(wild.weight(30.0) < 0.01 && wild.weight(0.0) > 1.0);
         assert!((wild.loss([0.2, -0.4].into_iter()) - wild.loss([-0.4, 0.2].into_iter())).abs() < 1e-12);
-        assert!(Student::of(&[0.0; 50], &used).scale > 0.0);
+        assert!(Student::of([0.0; 50].into_iter()).scale > 0.0);
     }
 }
