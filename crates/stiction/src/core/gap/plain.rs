@@ -7,6 +7,7 @@
 //! where the valve signal is linear in it.
 
 use super::candidate::{Candidate, Linear, MAX_COLUMNS, Parameters};
+use super::effects::columns;
 use super::plan::Plan;
 use super::problem::{Problem, View};
 use super::response::Process;
@@ -281,46 +282,16 @@ pub(crate) fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
 pub(crate) fn loads(plan: &Plan, tau: f64, problem: &Problem) -> Vec<Vec<f64>> {
     let n = problem.n();
     let mut out = Vec::new();
-    if let Some(omega) = plan.omega {
-        let turn = [libm::sin(omega), libm::cos(omega)];
-        out.extend([[0.0, 1.0], [1.0, 0.0]].map(|start| waves(n, start, turn)));
-    }
-    if let Some(start) = plan.ramp {
-        out.push((0..n).map(|k| (k as f64 - start).max(0.0) / n as f64).collect());
-    }
+    out.extend(plan.omega.into_iter().flat_map(|omega| columns::waves(omega, n)));
+    out.extend(plan.ramp.map(|start| columns::ramp(start, n)));
     // A gain that drifts also drifts PV's level, since the process need not rest at the middle of the stem's range.
-    if let Some(drift) = plan.drift {
-        out.push(drift.course(n).collect());
-    }
-    if let Some((start, straight)) = plan.step {
-        let after = (start.ceil().max(0.0) as usize).min(n);
-        let decay = if straight || plan.integrating { 0.0 } else { libm::exp(-1.0 / tau) };
-        let mut left = if decay > 0.0 { libm::exp((start - after as f64) / tau) } else { 0.0 };
-        let mut step = vec![0.0; after];
-        step.resize_with(n, || {
-            let value = 1.0 - left;
-            left *= decay;
-            value
-        });
-        out.push(step);
-    }
+    out.extend(plan.drift.map(|drift| drift.course(n).collect::<Vec<f64>>()));
+    let through = |straight: bool| (!straight && !plan.integrating).then_some(tau);
+    out.extend(plan.step.map(|(start, straight)| columns::step(start, through(straight), n)));
     if let (Some([lag, delay]), Some(load)) = (plan.neighbour, &problem.neighbour) {
         out.push(load.behind(lag, delay, n));
     }
     out
-}
-
-/// One of sine and cosine over the record by turning `[sin, cos]` from `start` (its first entry is kept).
-fn waves(n: usize, start: [f64; 2], turn: [f64; 2]) -> Vec<f64> {
-    let [mut a, mut b] = start;
-    let [sin, cos] = turn;
-    (0..n)
-        .map(|_| {
-            let value = a;
-            (a, b) = (a * cos + b * sin, b * cos - a * sin);
-            value
-        })
-        .collect()
 }
 
 /// The decay `a^(k - from)` from the point before `from` on, 1 before that.

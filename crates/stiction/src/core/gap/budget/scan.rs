@@ -1,10 +1,12 @@
 //! Which place, onset or frequency of an effect is worth a fit: its columns, as the noise model sees them and less what the
 //! fit has already, against the innovations.
 
+use core::f64::consts::TAU;
 use std::sync::Arc;
 
 use super::series::Series;
-use super::shapes::{APART, Shape, wave};
+use super::shapes::{APART, Shape};
+use crate::core::gap::effects::columns;
 use crate::core::gap::neighbour::Load;
 use crate::core::gap::noise::arx::{Fit, START, whitened};
 use crate::core::gap::noise::least_squares::{Orthonormal, taken};
@@ -204,7 +206,7 @@ impl<'f> Scan<'f> {
     #[must_use]
     pub(crate) fn sinusoids(&self, frequencies: &[f64], most: usize) -> Vec<Shape> {
         let gain =
-            |frequency: f64| self.gain_of(wave(frequency, self.n).map(|mut x| x.split_off(START)));
+            |frequency: f64| self.gain_of(columns::waves(TAU * frequency, self.n).map(|mut x| x.split_off(START)));
         let found = frequencies.iter().map(|f| (gain(*f), *f)).collect();
         let apart = |x: f64, y: f64| (x - y).abs() > APART / self.n as f64;
         best(found, most, apart).into_iter().map(Shape::Sinusoid).collect()

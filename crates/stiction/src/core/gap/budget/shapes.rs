@@ -1,12 +1,13 @@
 //! What an effect adds to PV, as columns whose coefficients are fitted.
 
-use core::f64::consts::PI;
+use core::f64::consts::TAU;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::series::Series;
-use crate::core::gap::effects;
+use crate::core::gap::effects::{self, columns};
 use crate::core::gap::neighbour::Load;
+use crate::core::gap::plan::Drift;
 use crate::core::gap::sizes::Quantity;
 
 /// Frequencies closer than this count as one, cycles in the record.
@@ -70,18 +71,24 @@ impl Shape {
     /// Its columns for `n` points; `driven` is what valve and process make of OP.
     #[must_use]
     pub(crate) fn columns(&self, n: usize, driven: &[f64]) -> Vec<Vec<f64>> {
-        let of = |x: &dyn Fn(usize) -> f64| (0..n).map(x).collect::<Vec<f64>>();
         match self {
-            Self::Step(at) => vec![of(&|k| f64::from(u8::from(k >= *at)))],
-            Self::Pulse(at, length) => vec![of(&|k| f64::from(u8::from((*at..at + length).contains(&k))))],
-            Self::Ramp(from) => vec![of(&|k| k.saturating_sub(*from) as f64 / n as f64)],
-            Self::Sinusoid(frequency) => wave(*frequency, n).into(),
-            Self::Drift => vec![of(&|k| (2.0 * k as f64 / n as f64 - 1.0) * driven[k])],
+            Self::Step(at) => vec![columns::step(*at as f64, None, n)],
+            Self::Pulse(at, length) => {
+                let [mut on, off] = [*at, at + length].map(|at| columns::step(at as f64, None, n));
+                on.iter_mut().zip(&off).for_each(|(on, off)| *on -= off);
+                vec![on]
+            }
+            Self::Ramp(from) => vec![columns::ramp(*from as f64, n)],
+            Self::Sinusoid(frequency) => columns::waves(TAU * frequency, n).into(),
+            Self::Drift => {
+                let course = Drift { change: 1.0, by_factor: false }.course(n);
+                vec![course.zip(driven).map(|(gain, d)| gain * d).collect()]
+            }
             Self::Bend => {
                 let mean = driven.iter().map(|d| d * d).sum::<f64>() / n as f64;
-                vec![of(&|k| driven[k] * driven[k] - mean)]
+                vec![driven.iter().map(|d| d * d - mean).collect()]
             }
-            Self::Outliers(at) => at.iter().map(|at| of(&|k| f64::from(u8::from(k == *at)))).collect(),
+            Self::Outliers(at) => at.iter().map(|at| columns::single(*at, n)).collect(),
             Self::Neighbour(load, [lag, dead_time]) => vec![load.behind(*lag, *dead_time, n)],
         }
     }
@@ -119,7 +126,7 @@ impl Shape {
                 let amplitude = beta.iter().map(|b| b * b).sum::<f64>().sqrt() * deviation;
                 vec![("period", series.point_s / frequency, "s"), ("amplitude", amplitude, "PV")]
             }
-            Self::Drift => gain.map(|_| ("gain_change_over_record", 2.0 * first, "1")).into_iter().collect(),
+            Self::Drift => gain.map(|_| ("gain_change_over_record", first, "1")).into_iter().collect(),
             Self::Bend => {
                 let per_op = |gain: f64| 2.0 * first * gain / series.op_deviation;
                 gain.map(|gain| ("gain_change_per_op", per_op(gain), "1/OP")).into_iter().collect()
@@ -142,21 +149,6 @@ impl Shape {
     }
 }
 
-/// Sine and cosine of a frequency, cycles a point, by rotation from point to point.
-#[must_use]
-pub(crate) fn wave(frequency: f64, n: usize) -> [Vec<f64>; 2] {
-    let turn = 2.0 * PI * frequency;
-    let (sin, cos) = (libm::sin(turn), libm::cos(turn));
-    let (mut s, mut c) = (0.0, 1.0);
-    let mut out = [Vec::with_capacity(n), Vec::with_capacity(n)];
-    for _ in 0..n {
-        out[0].push(s);
-        out[1].push(c);
-        (s, c) = (s * cos + c * sin, c * cos - s * sin);
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -165,14 +157,9 @@ mod tests {
     fn the_columns_are_what_the_names_say() {
         let driven: Vec<f64> = (0..100).map(|k| libm::sin(f64::from(k) * 0.3)).collect();
         let one = |shape: Shape| shape.columns(100, &driven).remove(0);
-        assert_eq!(one(Shape::Step(40))[39..42], [0.0, 1.0, 1.0]);
         assert_eq!(one(Shape::Pulse(40, 2))[39..43], [0.0, 1.0, 1.0, 0.0]);
-        assert!((one(Shape::Ramp(40))[90] - 0.5).abs() < 1e-12 && one(Shape::Ramp(40))[40] == 0.0);
-        assert!((one(Shape::Sinusoid(0.07))[99] - libm::sin(2.0 * PI * 6.93)).abs() < 1e-9);
-        assert_eq!(one(Shape::Drift)[0], -driven[0]);
+        assert_eq!(one(Shape::Drift)[0], -0.5 * driven[0]);
         assert!(one(Shape::Bend).iter().sum::<f64>().abs() < 1e-9);
-        let wild = Shape::Outliers(vec![3, 50]).columns(100, &driven);
-        assert!(wild.len() == 2 && wild[1][50] == 1.0 && wild[1].iter().sum::<f64>() == 1.0);
         let known = |shape: &Shape| effects::by_id(shape.id()).is_some();
         let all = [Shape::Step(1), Shape::Ramp(1), Shape::Sinusoid(0.1), Shape::Drift, Shape::Bend];
         assert!(all.iter().chain([&Shape::Outliers(Vec::new())]).all(known));

@@ -6,6 +6,7 @@ mod backlash;
 pub(crate) mod clipping;
 mod clues;
 pub(crate) mod coloured_noise;
+pub(crate) mod columns;
 mod dead_time_change;
 mod effect;
 pub(crate) mod extra_lag;
