@@ -117,7 +117,7 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
         let (s, truth) = (valve.fs + valve.fd, model.valve.fs + model.valve.fd);
         assert!((s / truth - 1.0).abs() < 0.03, "{s} {truth}");
         // SP moves by several standard deviations of the noise, and the loop responds as its model does.
-        let from_sp = found.from_sp.unwrap();
+        let from_sp = found.runs.from_sp.unwrap();
         println!("{from_sp:?}");
         assert!(from_sp.base_pct > 50.0 && from_sp.after_pct.is_none(), "{from_sp:?}");
         // The written model explains the record as well, and no refit is worse than its start.
@@ -162,9 +162,9 @@ fn what_was_added_is_named_and_closes_the_gap() {
         let found = told(model, 900, seed as u64 + 1);
         let named = found.cause.id == id;
         let closes = found.named().and_then(|e| e.closed_pct).is_some_and(|c| c > 40.0);
-        println!("from SP: {:?}", found.from_sp);
+        println!("from SP: {:?}", found.runs.from_sp);
         let better = |from_sp: FromSp| from_sp.after_pct.is_none_or(|after| after > from_sp.base_pct);
-        worse += usize::from(found.cause.confirmed && !found.from_sp.is_none_or(better));
+        worse += usize::from(found.cause.confirmed && !found.runs.from_sp.is_none_or(better));
         println!("{id}: {:?}, closed {:?}", found.cause, found.named().and_then(|e| e.closed_pct));
         for e in found.findings.effects.iter().take(4) {
             let left = e.fit.as_ref().map(|f| f.rmse_train);
@@ -324,10 +324,10 @@ fn answers_depend_on_the_work_and_not_on_who_does_it() {
     assert_eq!(one, diagnose(&loop_record, &options, &Two).unwrap());
     // A search stopped from outside is reproduced from the number of its evaluations.
     let cut = diagnose(&loop_record, &GapOptions::default(), &Until(5_000)).unwrap();
-    assert!(cut.spent.stopped_early && cut.spent.evaluations >= 5_000);
-    assert_eq!(cut, diagnose(&loop_record, &GapOptions::default(), &Until(cut.spent.evaluations)).unwrap());
+    assert!(cut.stopped_early && cut.search.evaluations >= 5_000);
+    assert_eq!(cut, diagnose(&loop_record, &GapOptions::default(), &Until(cut.search.evaluations)).unwrap());
     // The budget holds, except for the base and the last steps.
-    assert!(one.spent.evaluations < 90_000, "{}", one.spent.evaluations);
+    assert!(one.search.evaluations < 90_000, "{}", one.search.evaluations);
 }
 
 #[test]

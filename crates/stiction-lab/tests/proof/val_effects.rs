@@ -26,7 +26,7 @@ pub(crate) fn budget(record: &Record) -> Option<(Budget, Option<(String, bool)>)
     let options = GapOptions { period_points: period, budget_evaluations: FEW, ..GapOptions::default() };
     let made = diagnose(record, &options, &Serial).ok()?;
     let known = Known {
-        models: &made.fits_to_all,
+        models: &made.runs.fits_to_all,
         from: made.findings.blocks.from,
         noise_sd: made.findings.floor.noise_sd,
         ..Known::default()

@@ -5,11 +5,11 @@ mod claim;
 mod effect;
 mod place;
 
-use crate::core::gap::document::{EffectNote, GapDocument, TestNote};
+use crate::core::gap::document::{EffectNote, GapDocument};
 use crate::core::gap::effects;
 use crate::core::gap::loop_run::Cycles;
 use crate::core::gap::sizes::percent;
-use crate::core::gap::types::{Compared, FromSp, NONE, UNKNOWN};
+use crate::core::gap::types::{Compared, FromSp, NONE, NextTest, UNKNOWN};
 use crate::core::gap::valve_note::ValveNote;
 use crate::core::units::{duration, number, probability};
 pub use budget::{BudgetText, PartText, budget, tellable};
@@ -96,7 +96,7 @@ fn compared_loops(compared: &Compared) -> String {
 }
 
 /// A test by moves of OP.
-fn bump(test: &TestNote) -> String {
+fn bump(test: &NextTest) -> String {
     let [a, b] = &test.separates;
     format!(
         "step {} up by {}, back, down by the same and back, and hold each for {}: this distinguishes {} from {} (p {})",
@@ -206,7 +206,7 @@ fn of_cause(d: &GapDocument) -> String {
     if !d.cause.confirmed {
         return format!("Unknown: suspected, not confirmed: {what}.");
     }
-    match e.stage.as_str() {
+    match e.stage.name() {
         "valve" => format!("The valve: {what}."),
         stage if d.base.valve_model == "none" => format!("Outside the valve ({stage}): {what}."),
         stage => format!("Outside the valve ({stage}): {what}. The base has a sticking valve; `analyze` judges that."),

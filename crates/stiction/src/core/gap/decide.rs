@@ -8,7 +8,7 @@
 use super::calibration::Calibration;
 use super::effects::{self, Way};
 use super::evidence::{Contender, Evidence};
-use super::types::{Alternative, Cause, EffectResult, NONE, Stage, UNKNOWN};
+use super::types::{Alternative, Cause, EffectNote, NONE, Stage, UNKNOWN};
 use crate::core::signal::stats;
 use crate::core::verdict::rule::logistic;
 
@@ -224,7 +224,7 @@ fn stage_of(windows: &[&Evidence], id: &str) -> Stage {
 
 /// Whether held-out blocks, and where it can say so the run forward in time, bear a call out.
 #[must_use]
-pub(crate) fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
+pub(crate) fn confirmed(effect: &EffectNote, forward: Option<[f64; 2]>) -> bool {
     let closes = effect.closed_pct.is_some_and(|c| c > CLOSES) || effect.gap_after < 0.9 * effect.gap_before;
     let local = effects::parts(&effect.id).any(|id| effects::by_id(id).is_some_and(|e| e.local));
     closes && (local || forward.is_none_or(|[before, after]| after < before))

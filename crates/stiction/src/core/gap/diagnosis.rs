@@ -9,7 +9,7 @@ use super::express::{above_floor, fit};
 use super::filter::{self, Filtered};
 use super::forward::{fitted_to_first_part, refitted};
 use super::given;
-use super::judged::{Diagnosis, Findings, Runs, Spent};
+use super::judged::{Diagnosis, Findings, Runs};
 use super::loop_run;
 use super::neighbours::{self, Offered};
 use super::next_test::next_test;
@@ -21,7 +21,9 @@ use super::search::Search;
 use super::signatures;
 use super::stages;
 use super::traces::Traces;
-use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, FromSp, GapError, GapOptions, Stages};
+use super::types::{
+    Base, EffectNote, Ended, Executor, Fit, Floor, Forward, FromSp, GapError, GapOptions, SearchNote, Stages,
+};
 use super::weigh::{Scales, sort_by_lead};
 use crate::core::ident::controller;
 use crate::core::record::Record;
@@ -192,13 +194,9 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         next_test: next_test(&searched.problem, &searched.found, &findings, &decision),
         fits_to_all: base_to_all.into_iter().chain(cause_to_all).collect(),
     };
-    let spent = Spent {
-        evaluations: work.done,
-        budget,
-        ended: if work.stopped { Ended::Stopped } else { searched.found.ended },
-        stopped_early: work.stopped || work.spent,
-    };
-    Ok(Diagnosis::new(findings, decision, runs, spent))
+    let ended = if work.stopped { Ended::Stopped } else { searched.found.ended };
+    let search = SearchNote { evaluations: work.done, budget, ended };
+    Ok(Diagnosis::new(findings, decision, runs, (search, work.stopped || work.spent)))
 }
 
 /// Weighs everything that was found against the base.
@@ -284,9 +282,9 @@ fn check_floor(problem: &Problem, found: &Found, traces: &Traces, floor: &mut Fl
 }
 
 /// Every effect of the catalogue, weighed.
-fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, options: &GapOptions) -> Vec<EffectResult> {
+fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, options: &GapOptions) -> Vec<EffectNote> {
     let (problem, floor) = (scales.problem, scales.floor);
-    let mut out: Vec<EffectResult> = found.searches.iter().filter_map(|search| scales.weigh(search)).collect();
+    let mut out: Vec<EffectNote> = found.searches.iter().filter_map(|search| scales.weigh(search)).collect();
     let left = residual_of(problem, &found.base);
     let one_step =
         left.and_then(|r| noise::memory(&r, &problem.train)).map(|(mse, ..)| mse.sqrt() * problem.normalised.deviation);
@@ -323,7 +321,7 @@ fn basis(
         *l < low || *l > high
     });
     Basis {
-        traces: strongest.iter().filter(|s| options.asks(s.id)).map(|s| s.id.to_owned()).collect(),
+        traces: strongest.iter().filter(|s| options.asks(&s.id)).map(|s| s.id.clone()).collect(),
         acts: acts.map(effects::neighbour::id_of),
         skew: skew.filter(|_| options.asks(effects::time_skew::EFFECT.id)),
         coloured_noise: options.asks(effects::coloured_noise::EFFECT.id),
@@ -349,10 +347,7 @@ fn run_forward(
     let searches: Vec<_> = iter::once(&searched.found.base).chain(cause).collect();
     let Some(first) = fitted_to_first_part(&searched.problem, &searches, floor, work) else { return (None, None) };
     let forward = match first.fits.as_slice() {
-        [base, cause] => {
-            let [gap_before, gap_after] = [base, cause].map(|fit| above_floor(fit.rmse, floor));
-            Some(Forward { gap_before, gap_after })
-        }
+        [base, cause] => Some(Forward::new([base, cause].map(|fit| above_floor(fit.rmse, floor)))),
         _ => None,
     };
     (forward, loop_run::from_sp(record, &first))

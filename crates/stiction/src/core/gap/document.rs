@@ -1,7 +1,5 @@
 //! The published diagnosis, `stictiond.gap.v1`.
 
-use std::collections::BTreeMap;
-
 use serde::{Deserialize, Serialize};
 
 use super::agree;
@@ -13,13 +11,12 @@ use super::judged::Diagnosis;
 use super::locate::{Location, Subject, locate};
 use super::loop_run::{self, Cycles};
 use super::model::Model;
-use super::next_test::HOLDS;
 use super::pool::WindowNote;
 use super::set_point::{self, Move};
-use super::sizes::{Quantity, share_left};
+use super::sizes::share_left;
+pub use super::types::EffectNote;
 use super::types::{
-    Alternative, Base, Cause, Compared, EffectResult, Ended, Fit, Forward, FromSp, GapOptions, NONE, NextTest,
-    Parameter, Stage, UNKNOWN,
+    Alternative, Base, Cause, Compared, Fit, Forward, FromSp, GapOptions, NONE, NextTest, SearchNote, Stage, UNKNOWN,
 };
 use super::valve_note::ValveNote;
 use super::weigh::LITTLE;
@@ -58,18 +55,6 @@ pub struct Window {
     pub box_samples: u64,
 }
 
-/// Statistics of the search.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct SearchNote {
-    /// Model responses of all searches: base and effects, with a recorded valve position, pairs.
-    pub evaluations: u64,
-    /// Most responses per search.
-    pub budget: u64,
-    /// Why the search for base and effects ended: `noise`, `explained`, `agreement`, `complete`, `budget` or `stopped`.
-    pub ended: Ended,
-}
-
 /// Base model of the gap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -99,44 +84,6 @@ pub struct Figures {
     pub gap: f64,
     /// Gap relative to PV's standard deviation.
     pub relative: Option<f64>,
-}
-
-/// An effect added to the base.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct EffectNote {
-    /// Its id, or two joined by `+`.
-    pub id: String,
-    /// Where it acts.
-    pub stage: String,
-    /// Its parameters as fitted.
-    pub parameters: BTreeMap<String, Quantity>,
-    /// Gap of the base, PV units.
-    pub gap_before: f64,
-    /// Gap with the effect.
-    pub gap_after: f64,
-    /// Noise floor with the effect, PV units, for effects that a free run cannot predict.
-    pub floor_after: Option<f64>,
-    /// 100 (1 - after / before); `None` if undefined.
-    pub closed_pct: Option<f64>,
-    /// 90 % interval of it.
-    pub closed_interval: Option<[f64; 2]>,
-    /// Gain in training log mean squared error over the base, after BIC.
-    pub evidence: f64,
-    /// Evidence minus the margin needed for naming it.
-    pub lead: f64,
-    /// Effects that are indistinguishable from it.
-    pub confusable_with: Vec<String>,
-    /// The measurement that would distinguish it.
-    pub separated_by: String,
-    /// Whether its training error reaches the noise floor; `None` for effects without simulation.
-    pub at_floor: Option<bool>,
-    /// Whether it is a wave with the period of the sticking valve's limit cycle, which makes it.
-    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
-    pub own_cycle: bool,
-    /// Whether it is a load that begins while PV answers a move of the set point the same way.
-    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
-    pub follows_set_point: bool,
 }
 
 /// The answer.
@@ -182,50 +129,6 @@ impl CauseNote {
             _ => (hardly && (!leads || !self.confirmed && acts_in_plant())).then_some(CANNOT_BE_TOLD),
         }
     }
-}
-
-/// Another possible answer.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct AlternativeNote {
-    /// As [`CauseNote::id`].
-    pub id: String,
-    /// Probability that the answer is right.
-    pub probability: f64,
-}
-
-/// Gaps over the second part for models fitted to the first part.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct ForwardNote {
-    /// Gap of the base, PV units.
-    pub gap_before: f64,
-    /// Gap with the cause, PV units.
-    pub gap_after: f64,
-    /// 100 (1 - after / before).
-    pub closed_pct: Option<f64>,
-}
-
-/// The experiment that distinguishes the two best answers.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct TestNote {
-    /// `op` or `sp`.
-    pub signal: String,
-    /// Height of the bump, units of the signal.
-    pub size: f64,
-    /// Its duration, s.
-    pub duration_s: f64,
-    /// The two answers.
-    pub separates: [String; 2],
-    /// Probability that it distinguishes them.
-    pub p: f64,
-    /// How long the whole test takes, s.
-    #[serde(default)]
-    pub total_s: f64,
-    /// How far PV goes, PV units.
-    #[serde(default)]
-    pub moves_pv: f64,
 }
 
 /// The model with the cause, as accepted by `simulate`, `analyze` and `gap --base`, with the terms of an estimate.
@@ -281,15 +184,15 @@ pub struct GapDocument {
     pub cause: CauseNote,
     /// A second cause: an effect in the plant beneath an artefact of the historian, or that artefact.
     #[serde(default)]
-    pub second_cause: Option<AlternativeNote>,
+    pub second_cause: Option<Alternative>,
     /// Other possible answers, best first, without the cause.
-    pub alternatives: Vec<AlternativeNote>,
+    pub alternatives: Vec<Alternative>,
     /// Forward prediction.
-    pub forward: Option<ForwardNote>,
+    pub forward: Option<Forward>,
     /// The base with the cause and the second cause.
     pub model_after: ModelAfter,
     /// The experiment that distinguishes the likeliest answers.
-    pub next_test: Option<TestNote>,
+    pub next_test: Option<NextTest>,
     /// Model responses computed.
     pub evaluations: u64,
     /// The search: responses used and allowed, and why it ended.
@@ -319,13 +222,6 @@ pub struct GapDocument {
     pub version: String,
 }
 
-/// 100 (1 - after / before); `None` if there was no gap.
-#[must_use]
-pub fn closed_pct(before: f64, after: f64) -> Option<f64> {
-    let pct = 100.0 * (1.0 - after / before);
-    (before > 0.0 && pct.is_finite()).then_some(pct)
-}
-
 impl GapDocument {
     /// Makes the document of a diagnosis of a record with these options, which says nothing of the valve by itself.
     #[must_use]
@@ -344,7 +240,7 @@ impl GapDocument {
     ) -> Self {
         let valve = assessment.map(ValveNote::of);
         let [mut effects, pairs] = [&diagnosis.findings.effects, &diagnosis.findings.pairs]
-            .map(|all| all.iter().map(EffectNote::of).collect::<Vec<_>>());
+            .map(|all| all.iter().map(|e| EffectNote { fit: None, ..e.clone() }).collect::<Vec<_>>());
         let closed_loop = loop_run::cycles(record, diagnosis);
         let budget = Budget::of(record, known(diagnosis));
         let explained = closed_loop.as_ref().map(|cycles| cycles.controller.r2);
@@ -366,7 +262,6 @@ impl GapDocument {
             [effect.own_cycle, effect.follows_set_point] = why;
         }
         let deviation = stats::std_dev(&record.pv);
-        let spent = diagnosis.spent;
         let figures = |fit: &Fit| Figures::of(fit, diagnosis.findings.floor.noise_floor, deviation);
         let given = diagnosis.findings.given.as_ref().map(figures);
         let gap = figures(&diagnosis.findings.base);
@@ -387,17 +282,17 @@ impl GapDocument {
             location: locate(record, &Subject::of(diagnosis, options.period_points, options.seed)),
             effects,
             cause,
-            second_cause: diagnosis.second.as_ref().map(AlternativeNote::of),
-            alternatives: diagnosis.alternatives.iter().map(AlternativeNote::of).collect(),
-            forward: diagnosis.forward.map(ForwardNote::of),
+            second_cause: diagnosis.second.clone(),
+            alternatives: diagnosis.alternatives.clone(),
+            forward: diagnosis.runs.forward,
             model_after: ModelAfter::of(&diagnosis.model_after),
-            next_test: diagnosis.next_test.as_ref().filter(|_| may_test).map(TestNote::of),
-            evaluations: spent.evaluations,
-            search: SearchNote { evaluations: spent.evaluations, budget: spent.budget, ended: spent.ended },
-            stopped_early: spent.stopped_early,
+            next_test: diagnosis.runs.next_test.clone().filter(|_| may_test),
+            evaluations: diagnosis.search.evaluations,
+            search: diagnosis.search,
+            stopped_early: diagnosis.stopped_early,
             pairs,
             closed_loop,
-            from_sp: diagnosis.from_sp,
+            from_sp: diagnosis.runs.from_sp,
             budget,
             tellable,
             pooled: Vec::new(),
@@ -449,7 +344,7 @@ fn held_against<'a>(
 /// What the diagnosis knows for the budget: the models fitted to the whole record, PV's noise and the loads.
 fn known(diagnosis: &Diagnosis) -> budget::Known<'_> {
     budget::Known {
-        models: &diagnosis.fits_to_all,
+        models: &diagnosis.runs.fits_to_all,
         from: diagnosis.findings.blocks.from,
         period: None,
         noise_sd: diagnosis.findings.floor.noise_sd,
@@ -478,20 +373,6 @@ impl Figures {
     }
 }
 
-impl ForwardNote {
-    fn of(forward: Forward) -> Self {
-        let Forward { gap_before, gap_after } = forward;
-        Self { gap_before, gap_after, closed_pct: closed_pct(gap_before, gap_after) }
-    }
-}
-
-impl TestNote {
-    fn of(test: &NextTest) -> Self {
-        let NextTest { signal, size, duration_s, separates, p, moves_pv } = test.clone();
-        Self { signal: signal.to_owned(), size, duration_s, separates, p, total_s: HOLDS * duration_s, moves_pv }
-    }
-}
-
 impl BaseNote {
     fn of(base: &Base, fit: &Fit) -> Self {
         let source = match base {
@@ -506,42 +387,6 @@ impl BaseNote {
             order: process.time_constants_s.len() as u8 + u8::from(process.integrating),
             integrating: process.integrating,
             model: fit.model.clone(),
-        }
-    }
-}
-
-impl AlternativeNote {
-    fn of(other: &Alternative) -> Self {
-        Self { id: other.id.clone(), probability: other.probability }
-    }
-}
-
-impl EffectNote {
-    fn of(effect: &EffectResult) -> Self {
-        let mut parameters = BTreeMap::new();
-        for Parameter { name, value, unit } in &effect.parameters {
-            // Both effects of a pair may have one of this name: the second's says whose it is.
-            let second = effects::parts(&effect.id).last().unwrap_or_default();
-            let taken = parameters.contains_key(*name);
-            let name = if taken { format!("{second}.{name}") } else { (*name).to_owned() };
-            parameters.insert(name, Quantity { value: *value, unit: (*unit).to_owned() });
-        }
-        Self {
-            id: effect.id.clone(),
-            stage: effect.stage.name().to_owned(),
-            parameters,
-            gap_before: effect.gap_before,
-            gap_after: effect.gap_after,
-            floor_after: effect.floor_after,
-            closed_pct: effect.closed_pct,
-            closed_interval: effect.closed_interval,
-            evidence: effect.evidence,
-            lead: effect.lead,
-            confusable_with: effect.confusable_with.iter().map(|id| (*id).to_owned()).collect(),
-            separated_by: effect.separated_by.to_owned(),
-            at_floor: effect.fit.as_ref().filter(|_| effect.simulated).map(|f| f.at_floor),
-            own_cycle: false,
-            follows_set_point: false,
         }
     }
 }

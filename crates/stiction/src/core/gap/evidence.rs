@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::effects;
-use super::types::{EffectResult, Fit, OneStep, Stage};
+use super::types::{EffectNote, Fit, OneStep, Stage};
 
 /// What a decision is made from beside the effects; everything in it is known without deciding.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -64,7 +64,7 @@ pub struct Contender {
     pub id: String,
     /// Where it acts.
     pub stage: Stage,
-    /// See [`EffectResult::lead`].
+    /// See [`EffectNote::lead`].
     pub lead: f64,
     /// Per cent of the gap that it closes on held-out blocks, which have no say in the choice.
     pub closed_pct: Option<f64>,
@@ -101,10 +101,10 @@ impl Evidence {
     #[must_use]
     pub(crate) fn new<'e>(
         basis: &Basis,
-        effects: impl IntoIterator<Item = &'e EffectResult>,
+        effects: impl IntoIterator<Item = &'e EffectNote>,
         floor: Option<f64>,
     ) -> Self {
-        let contender = |e: &EffectResult| {
+        let contender = |e: &EffectNote| {
             let fit = e.fit.as_ref().filter(|_| e.simulated)?;
             let left = Left::of(fit, floor);
             Some(Contender { id: e.id.clone(), stage: e.stage, lead: e.lead, closed_pct: e.closed_pct, left })

@@ -250,7 +250,7 @@ mod tests {
     fn a_lag_that_its_noise_shares_is_a_filter() {
         let found = diagnose(&record(true), &GapOptions::default(), &Serial).unwrap();
         assert_eq!(found.cause.id, EFFECT.id);
-        let lag = found.named().unwrap().parameters[0].value;
+        let lag = found.named().unwrap().parameters["lag"].value;
         assert!((lag / 18.0 - 1.0).abs() < 0.25, "{lag}");
         let white = diagnose(&record(false), &GapOptions::default(), &Serial).unwrap();
         assert_ne!(white.cause.id, EFFECT.id);

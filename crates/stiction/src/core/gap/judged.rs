@@ -9,8 +9,8 @@ use super::model::Model;
 use super::neighbour::Load;
 use super::sizes::share_left;
 use super::types::{
-    Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, FromSp, NONE, NextTest,
-    Predictions, Signature, Stages, UNKNOWN,
+    Alternative, Blocks, Cause, Compared, EffectNote, Fit, Floor, Forward, FromSp, NONE, NextTest, Predictions,
+    SearchNote, Signature, Stages, UNKNOWN,
 };
 
 /// What was found of a record, before anything is named.
@@ -23,9 +23,9 @@ pub struct Findings {
     /// Gap of the base over PV's standard deviation.
     pub relative_gap: f64,
     /// Every effect asked, best first.
-    pub effects: Vec<EffectResult>,
+    pub effects: Vec<EffectNote>,
     /// Effects tried two at once, best first; empty where one alone explains the record, unless asked for.
-    pub pairs: Vec<EffectResult>,
+    pub pairs: Vec<EffectNote>,
     /// The noise floor.
     pub floor: Floor,
     /// Which points count for what.
@@ -56,7 +56,7 @@ impl Findings {
     }
 
     /// The result of an effect or pair.
-    pub(super) fn result(&self, id: &str) -> Option<&EffectResult> {
+    pub(super) fn result(&self, id: &str) -> Option<&EffectNote> {
         self.effects.iter().chain(&self.pairs).find(|e| e.id == id)
     }
 
@@ -68,7 +68,7 @@ impl Findings {
         }
         // What a trace in PV tells is not put to the vote.
         let ranked = self.result(cause).is_none_or(|e| e.simulated);
-        let over = |e: &EffectResult| Some(e.fit.as_ref()?.rmse_train / self.floor.noise_floor?);
+        let over = |e: &EffectNote| Some(e.fit.as_ref()?.rmse_train / self.floor.noise_floor?);
         ranked && !self.effects.iter().filter(|e| e.simulated).filter_map(over).any(|over| over < decide::EXPLAINED)
     }
 
@@ -87,8 +87,8 @@ impl Findings {
             return cause.id == NONE && self.base.at_floor;
         }
         let result = self.result(&cause.id);
-        let parameters = result.iter().flat_map(|e| &e.parameters);
-        if parameters.into_iter().any(|p| effects::parts(&cause.id).any(|id| !is_physical(id, p.name, p.value))) {
+        let mut sizes = result.iter().flat_map(|e| &e.parameters);
+        if sizes.any(|(name, q)| effects::parts(&cause.id).any(|id| !is_physical(id, name, q.value))) {
             return false;
         }
         // A trace is there; whether it makes the gap, is for held-out blocks to say where a free run can follow it.
@@ -117,14 +117,15 @@ impl Findings {
 
 /// What was computed for one cause.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Runs {
-    /// See [`Diagnosis::forward`].
+pub struct Runs {
+    /// Forward in time; `None` where the parts are too short.
     pub forward: Option<Forward>,
-    /// See [`Diagnosis::from_sp`].
+    /// The closed loop from SP alone; `None` where SP hardly moves or no controller can be read.
     pub from_sp: Option<FromSp>,
-    /// See [`Diagnosis::next_test`].
+    /// The next test, where two answers remain.
     pub next_test: Option<NextTest>,
-    /// See [`Diagnosis::fits_to_all`].
+    /// The base, and the base with the cause where a search fitted that, on all of the record: what the budget begins from.
+    /// Nothing was held out, so that their errors and gaps say nothing.
     pub fits_to_all: Vec<Fit>,
 }
 
@@ -135,19 +136,6 @@ impl Runs {
         let from_sp = self.from_sp.map(|from_sp| FromSp { after_pct: None, ..from_sp });
         Self { forward: None, from_sp, next_test: None, ..self }
     }
-}
-
-/// What the search spent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Spent {
-    /// Model responses computed.
-    pub evaluations: u64,
-    /// Responses that each search was allowed.
-    pub budget: u64,
-    /// Why the search for base and effects ended.
-    pub ended: Ended,
-    /// Whether executor or budget ended the search before its time.
-    pub stopped_early: bool,
 }
 
 /// All that was found, and the answer.
@@ -165,49 +153,35 @@ pub struct Diagnosis {
     pub model_after: Model,
     /// Free runs for the record's points.
     pub predictions: Predictions,
-    /// The base, and the base with the cause where a search fitted that, on all of the record: what the budget begins from.
-    /// Nothing was held out, so that their errors and gaps say nothing.
-    pub fits_to_all: Vec<Fit>,
-    /// Forward in time; `None` where the parts are too short.
-    pub forward: Option<Forward>,
-    /// The closed loop from SP alone; `None` where SP hardly moves or no controller can be read.
-    pub from_sp: Option<FromSp>,
-    /// The next test, where two answers remain.
-    pub next_test: Option<NextTest>,
+    /// What was computed for the cause.
+    pub runs: Runs,
     /// What the search spent.
-    pub spent: Spent,
+    pub search: SearchNote,
+    /// Whether executor or budget ended the search before its time.
+    pub stopped_early: bool,
 }
 
 impl Diagnosis {
-    pub(super) fn new(findings: Findings, decision: Decision, runs: Runs, spent: Spent) -> Self {
+    pub(super) fn new(
+        findings: Findings,
+        decision: Decision,
+        runs: Runs,
+        (search, stopped_early): (SearchNote, bool),
+    ) -> Self {
         let after = findings.fit_of(&decision).unwrap_or(&findings.base);
         let predictions = Predictions { pv_base: findings.shown(&findings.base), pv_after: findings.shown(after) };
         let model_after = after.model.clone();
         let Decision { mut cause, second, alternatives, .. } = decision;
-        let Runs { forward, from_sp, next_test, fits_to_all } = runs;
-        cause.confirmed = findings.is_confirmed(&cause, forward);
-        Self {
-            findings,
-            cause,
-            second,
-            alternatives,
-            model_after,
-            predictions,
-            fits_to_all,
-            forward,
-            from_sp,
-            next_test,
-            spent,
-        }
+        cause.confirmed = findings.is_confirmed(&cause, runs.forward);
+        Self { findings, cause, second, alternatives, model_after, predictions, runs, search, stopped_early }
     }
 
     /// The same findings with another decision.
     #[must_use]
     pub(super) fn with_decision(&self, decision: Decision) -> Self {
-        let Self { forward, from_sp, next_test, fits_to_all, .. } = self.clone();
-        let runs = Runs { forward, from_sp, next_test, fits_to_all };
+        let runs = self.runs.clone();
         let runs = if decision.cause.id == self.cause.id { runs } else { runs.of_the_base() };
-        Self::new(self.findings.clone(), decision, runs, self.spent)
+        Self::new(self.findings.clone(), decision, runs, (self.search, self.stopped_early))
     }
 
     /// What the decision is made from.
@@ -225,7 +199,7 @@ impl Diagnosis {
 
     /// The result of the named cause, single or pair.
     #[must_use]
-    pub fn named(&self) -> Option<&EffectResult> {
+    pub fn named(&self) -> Option<&EffectNote> {
         self.findings.result(&self.cause.id)
     }
 }
@@ -252,14 +226,14 @@ mod tests {
         // What was computed for one cause says nothing of another.
         let without = found.evidence().without("sinusoid");
         let another = found.with_decision(decide::decide(&[&without], Calibration::shipped()));
-        assert!(found.fits_to_all.len() == 2 && found.forward.is_some());
-        assert!(another.cause.id != "sinusoid" && another.fits_to_all == found.fits_to_all[..1]);
-        assert!(another.forward.is_none() && another.next_test.is_none());
+        assert!(found.runs.fits_to_all.len() == 2 && found.runs.forward.is_some());
+        assert!(another.cause.id != "sinusoid" && another.runs.fits_to_all == found.runs.fits_to_all[..1]);
+        assert!(another.runs.forward.is_none() && another.runs.next_test.is_none());
         let findings = &mut found.findings;
         findings.effects.iter_mut().for_each(|e| e.closed_pct = Some(20.0));
         let confirmed = [1.0, 1.5].map(|relative_gap| {
             findings.relative_gap = relative_gap;
-            findings.is_confirmed(&found.cause, found.forward)
+            findings.is_confirmed(&found.cause, found.runs.forward)
         });
         assert_eq!(confirmed, [true, false]);
     }

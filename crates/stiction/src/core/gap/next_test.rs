@@ -22,7 +22,7 @@ const WANTED: f64 = 0.95;
 /// Sizes that are tried, in bands s (or tenths of the span where nothing sticks).
 const SIZES: [f64; 8] = [1.1, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0];
 /// Holds of a test: OP up, back, down, back.
-pub(super) const HOLDS: f64 = 4.0;
+const HOLDS: f64 = 4.0;
 /// Largest bump that is proposed, spans of OP in the record.
 const MOST: f64 = 2.0;
 /// Least probability of both answers together: where something else is likelier, telling them apart settles nothing.
@@ -88,11 +88,12 @@ pub(super) fn next_test(
         let p = normal_below(0.5 * (counted * stats::dot(&apart, &apart)).sqrt() / left.max(1e-12));
         if p >= WANTED && most(&apart) > hidden {
             return Some(NextTest {
-                signal: "op",
+                signal: "op".to_owned(),
                 size: size * problem.normalised.span,
                 duration_s,
                 separates: [name.to_owned(), rival.to_owned()],
                 p,
+                total_s: HOLDS * duration_s,
                 moves_pv: travel * deviation,
             });
         }

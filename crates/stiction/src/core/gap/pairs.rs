@@ -5,7 +5,7 @@ use super::problem::Problem;
 use super::schedule::{Found, Work, share};
 use super::search::{NARROW, Search, exchange, form_of};
 use super::structure::Structure;
-use super::types::EffectResult;
+use super::types::EffectNote;
 use super::weigh::{Scales, sort_by_lead};
 
 /// Effects that are tried beside the first.
@@ -17,7 +17,7 @@ pub(crate) fn run(
     found: &Found,
     scales: &Scales<'_>,
     work: &mut Work<'_>,
-) -> (Vec<EffectResult>, Vec<Search>) {
+) -> (Vec<EffectNote>, Vec<Search>) {
     let mut singles: Vec<Search> = found.searches.iter().filter(|l| !l.best.is_empty()).cloned().collect();
     singles.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
     let Some((first, others)) = singles.split_first() else { return (Vec::new(), Vec::new()) };
@@ -29,7 +29,7 @@ pub(crate) fn run(
     if work.goes_on() {
         share(problem, &mut searches, &NARROW, work, &|_| thetas.clone(), &|_| &[]);
     }
-    let mut out: Vec<EffectResult> = searches.iter().filter_map(|search| scales.weigh(search)).collect();
+    let mut out: Vec<EffectNote> = searches.iter().filter_map(|search| scales.weigh(search)).collect();
     sort_by_lead(&mut out);
     (out, searches)
 }

@@ -101,7 +101,7 @@ impl Seen {
         let visits = pv.windows(2).filter(|w| w[0] != w[1] && w[1] == cut_at).count();
         let is_cut = !is_grid && !frozen && (held <= RECORDED || visits > 1);
         let signature = |effect: &Effect, [value, threshold]: [f64; 2], also: bool, (name, size, unit)| Signature {
-            id: effect.id,
+            id: effect.id.to_owned(),
             value,
             threshold,
             met: value > threshold && also,
@@ -208,7 +208,7 @@ mod tests {
         (0..900).map(|k| 3.0 * libm::sin(f64::from(k) * 0.09) + 0.1 * noise.gaussian()).collect()
     }
 
-    fn met(pv: Vec<f64>) -> Vec<&'static str> {
+    fn met(pv: Vec<f64>) -> Vec<String> {
         let record = Record::uniform(1.0, pv.clone(), pv);
         traces(&record, 70.0, &[]).signatures.into_iter().filter(|s| s.met).map(|s| s.id).collect()
     }

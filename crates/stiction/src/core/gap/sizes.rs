@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::effects;
+use super::types::Parameter;
 use crate::core::units::number;
 
 /// A number with a unit.
@@ -14,6 +16,19 @@ pub struct Quantity {
     pub value: f64,
     /// Its unit, as that of the parameter.
     pub unit: String,
+}
+
+/// The sizes of an effect or pair of this id by their names.
+#[must_use]
+pub(super) fn sized(id: &str, parameters: Vec<Parameter>) -> BTreeMap<String, Quantity> {
+    let mut out = BTreeMap::new();
+    for Parameter { name, value, unit } in parameters {
+        // Both effects of a pair may have one of this name: the second's says whose it is.
+        let second = effects::parts(id).last().unwrap_or_default();
+        let name = if out.contains_key(name) { format!("{second}.{name}") } else { name.to_owned() };
+        out.insert(name, Quantity { value, unit: unit.to_owned() });
+    }
+    out
 }
 
 /// An effect's sizes, for its words.

@@ -1,9 +1,12 @@
 //! Request and result types of the diagnosis.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use super::model::Model;
 use super::neighbour::{Neighbour, NeighbourError};
+use super::sizes::Quantity;
 
 /// Id of an effect, as in documents.
 pub(crate) type EffectId = &'static str;
@@ -106,6 +109,18 @@ pub enum Ended {
     Budget,
     /// Stopped on request.
     Stopped,
+}
+
+/// Statistics of the search.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct SearchNote {
+    /// Model responses of all searches: base and effects, with a recorded valve position, pairs.
+    pub evaluations: u64,
+    /// Most responses per search.
+    pub budget: u64,
+    /// Why the search for base and effects ended: `noise`, `explained`, `agreement`, `complete`, `budget` or `stopped`.
+    pub ended: Ended,
 }
 
 /// Where an effect acts.
@@ -320,10 +335,11 @@ pub struct Blocks {
 }
 
 /// A trace of an effect in the data itself.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "Trace"))]
 pub struct Signature {
     /// The effect that it indicates.
-    pub id: EffectId,
+    pub id: String,
     /// Measured value.
     pub value: f64,
     /// Threshold of the value.
@@ -331,21 +347,22 @@ pub struct Signature {
     /// Whether the threshold is reached.
     pub met: bool,
     /// Size of the trace: quantum (PV units), held share, level of the clip (PV units), outliers a thousand, ….
+    #[serde(skip)]
     pub parameters: Vec<Parameter>,
 }
 
 /// An effect added to the base.
-#[derive(Debug, Clone, PartialEq)]
-pub struct EffectResult {
-    /// The effect, or two joined by `+` in alphabetical order.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct EffectNote {
+    /// Its id, or two joined by `+`.
     pub id: String,
     /// Where it acts.
+    #[cfg_attr(feature = "schema", schemars(with = "String"))]
     pub stage: Stage,
-    /// Whether it was simulated rather than read from PV.
-    pub simulated: bool,
-    /// Its parameters.
-    pub parameters: Vec<Parameter>,
-    /// Gap of the base on held-out blocks, PV units.
+    /// Its parameters as fitted.
+    pub parameters: BTreeMap<String, Quantity>,
+    /// Gap of the base, PV units.
     pub gap_before: f64,
     /// Gap with the effect.
     pub gap_after: f64,
@@ -353,18 +370,30 @@ pub struct EffectResult {
     pub floor_after: Option<f64>,
     /// 100 (1 - after / before); `None` if undefined.
     pub closed_pct: Option<f64>,
-    /// 90 % block-bootstrap interval of it.
+    /// 90 % interval of it.
     pub closed_interval: Option<[f64; 2]>,
-    /// Gain in training log mean squared error over the base after BIC.
+    /// Gain in training log mean squared error over the base, after BIC.
     pub evidence: f64,
-    /// Evidence minus the effect's margin: it is named only if positive.
+    /// Evidence minus the margin needed for naming it.
     pub lead: f64,
-    /// Effects that fit almost as well or are indistinguishable from it in OP and PV.
-    pub confusable_with: Vec<EffectId>,
+    /// Effects that are indistinguishable from it.
+    pub confusable_with: Vec<String>,
     /// The measurement that would distinguish it.
-    pub separated_by: &'static str,
+    pub separated_by: String,
+    /// Whether its training error reaches the noise floor; `None` for effects without simulation.
+    pub at_floor: Option<bool>,
+    /// Whether it is a wave with the period of the sticking valve's limit cycle, which makes it.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub own_cycle: bool,
+    /// Whether it is a load that begins while PV answers a move of the set point the same way.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub follows_set_point: bool,
+    /// Whether it was simulated rather than read from PV.
+    #[serde(skip)]
+    pub simulated: bool,
     /// The refitted model; for an effect read from PV, the base with the historian's artefact, if present and suited to a free
-    /// run.
+    /// run. Documents are without.
+    #[serde(skip)]
     pub fit: Option<Fit>,
 }
 
@@ -382,21 +411,34 @@ pub struct Cause {
 }
 
 /// Another possible answer.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "AlternativeNote"))]
 pub struct Alternative {
-    /// As [`Cause::id`].
+    /// An id as of the cause.
     pub id: String,
-    /// Calibrated probability.
+    /// Probability that the answer is right.
     pub probability: f64,
 }
 
-/// Base and best model fitted to the first part and run freely over the rest.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Gaps over the second part for models fitted to the first part.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "ForwardNote"))]
 pub struct Forward {
     /// Gap of the base, PV units.
     pub gap_before: f64,
     /// Gap with the cause, PV units.
     pub gap_after: f64,
+    /// 100 (1 - after / before).
+    pub closed_pct: Option<f64>,
+}
+
+impl Forward {
+    /// Of the gaps before and after, PV units.
+    #[must_use]
+    pub(super) fn new([gap_before, gap_after]: [f64; 2]) -> Self {
+        let pct = 100.0 * (1.0 - gap_after / gap_before);
+        Self { gap_before, gap_after, closed_pct: (gap_before > 0.0 && pct.is_finite()).then_some(pct) }
+    }
 }
 
 /// How much of PV the closed loop predicts from SP alone, after the part that model and controller were fitted to.
@@ -413,20 +455,25 @@ pub struct FromSp {
     pub averaged_s: Option<f64>,
 }
 
-/// The smallest experiment that distinguishes the two best answers.
-#[derive(Debug, Clone, PartialEq)]
+/// The experiment that distinguishes the two best answers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "TestNote"))]
 pub struct NextTest {
     /// `op` or `sp`.
-    pub signal: &'static str,
+    pub signal: String,
     /// Height of the bump, units of the signal.
     pub size: f64,
     /// Its duration, s.
     pub duration_s: f64,
     /// The two answers.
     pub separates: [String; 2],
-    /// Probability that the better one is recognised.
+    /// Probability that it distinguishes them.
     pub p: f64,
+    /// How long the whole test takes, s.
+    #[serde(default)]
+    pub total_s: f64,
     /// How far PV goes, PV units.
+    #[serde(default)]
     pub moves_pv: f64,
 }
 

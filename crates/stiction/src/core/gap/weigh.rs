@@ -8,9 +8,10 @@ use super::filter::Filtered;
 use super::problem::{Problem, View};
 use super::schedule::residual_of;
 use super::search::Search;
+use super::sizes::sized;
 use super::structure::Structure;
 use super::traces::Traces;
-use super::types::{EffectResult, Fit, Floor, Stage};
+use super::types::{EffectId, EffectNote, Fit, Floor, Stage};
 use crate::core::signal::stats;
 use crate::core::sim::noise::Noise;
 
@@ -25,7 +26,7 @@ pub(super) const LITTLE: f64 = 10.0;
 const POINTS_A_PARAMETER: usize = 2;
 
 /// The effect that leads most comes first.
-pub(crate) fn sort_by_lead(effects: &mut [EffectResult]) {
+pub(crate) fn sort_by_lead(effects: &mut [EffectNote]) {
     effects.sort_by(|a, b| b.lead.total_cmp(&a.lead));
 }
 
@@ -59,7 +60,7 @@ impl Scales<'_> {
     }
 
     /// One simulated effect, or pair, weighed against the base.
-    pub(crate) fn weigh(&self, search: &Search) -> Option<EffectResult> {
+    pub(crate) fn weigh(&self, search: &Search) -> Option<EffectNote> {
         let best = search.best.first()?;
         let made = fit(self.problem, search, self.floor.noise_floor, &|_| {})?;
         let structure = search.structure;
@@ -79,11 +80,10 @@ impl Scales<'_> {
         let lead = if is_meant { evidence - margin } else { -margin };
         let parameters = parameters(self.problem, &structure, best);
         let (closed_pct, closed_interval) = if predictable { self.closed(&made) } else { (None, None) };
-        Some(EffectResult {
+        Some(EffectNote {
             id: structure.id_in(self.problem),
             stage,
-            simulated: true,
-            parameters,
+            parameters: sized(&structure.id(), parameters),
             gap_before: self.base.gap,
             gap_after: made.gap,
             floor_after: None,
@@ -91,28 +91,33 @@ impl Scales<'_> {
             closed_interval,
             evidence,
             lead,
-            confusable_with: first.confused_with.to_vec(),
-            separated_by: first.separated_by,
+            confusable_with: names(first.confused_with),
+            separated_by: first.separated_by.to_owned(),
+            at_floor: Some(made.at_floor),
+            own_cycle: false,
+            follows_set_point: false,
+            simulated: true,
             fit: Some(made),
         })
     }
 
     /// A filter in the measurement.
     #[must_use]
-    pub(crate) fn filtered(&self, effect: &'static Effect, filtered: &Filtered) -> EffectResult {
+    pub(crate) fn filtered(&self, effect: &'static Effect, filtered: &Filtered) -> EffectNote {
         let made = filtered.fit.clone();
         let sse = |rmse: f64| rmse * rmse * self.problem.target(View::Plain).len() as f64;
         let [before, after] = [self.base, &made].map(|f| (sse(f.rmse_train), f.parameters));
         let evidence = self.score(before.0, before.1) - self.score(after.0, after.1);
         let (closed_pct, closed_interval) = self.closed(&made);
-        EffectResult {
+        EffectNote {
             simulated: true,
-            parameters: filtered.parameters(),
+            parameters: sized(effect.id, filtered.parameters()),
             gap_after: made.gap,
             closed_pct,
             closed_interval,
             evidence,
             lead: evidence - effect.margin,
+            at_floor: Some(made.at_floor),
             fit: Some(made),
             ..self.recorded(effect, None)
         }
@@ -120,7 +125,7 @@ impl Scales<'_> {
 
     /// One effect of the recording, seen in PV. What it does is measured where it is met and a free run can follow it.
     #[must_use]
-    pub(crate) fn recorded(&self, effect: &'static Effect, floor_after: Option<f64>) -> EffectResult {
+    pub(crate) fn recorded(&self, effect: &'static Effect, floor_after: Option<f64>) -> EffectNote {
         let found = self.traces.signatures.iter().find(|s| s.id == effect.id && s.met);
         let met = found.is_some();
         let made = effect
@@ -130,11 +135,10 @@ impl Scales<'_> {
         let blocks = self.blocks(made.as_ref().unwrap_or(self.base), made.is_some() && effect.local);
         let [before, after] = self.gaps(&blocks);
         let (closed_pct, closed_interval) = made.as_ref().map_or((None, None), |_| self.closed_in(&blocks));
-        EffectResult {
+        EffectNote {
             id: effect.id.to_owned(),
             stage: effect.stage,
-            simulated: false,
-            parameters: found.map(|s| s.parameters.clone()).unwrap_or_default(),
+            parameters: sized(effect.id, found.map(|s| s.parameters.clone()).unwrap_or_default()),
             gap_before: before,
             gap_after: after,
             floor_after,
@@ -142,8 +146,12 @@ impl Scales<'_> {
             closed_interval,
             evidence: 0.0,
             lead: if met { 0.0 } else { -effects::MARGIN },
-            confusable_with: effect.confused_with.to_vec(),
-            separated_by: effect.separated_by,
+            confusable_with: names(effect.confused_with),
+            separated_by: effect.separated_by.to_owned(),
+            at_floor: None,
+            own_cycle: false,
+            follows_set_point: false,
+            simulated: false,
             fit: made,
         }
     }
@@ -197,6 +205,10 @@ impl Scales<'_> {
         out.retain(|b| b[0] > 0.0);
         out
     }
+}
+
+fn names(ids: &[EffectId]) -> Vec<String> {
+    ids.iter().map(|id| (*id).to_owned()).collect()
 }
 
 /// Whether a fit is what its effects' names say.

@@ -1,9 +1,9 @@
 //! Sentences that are made from the same numbers do not contradict each other.
 
 use super::{answer, beside_position, first, paragraph, report, summary, title, verbose};
-use crate::core::gap::document::{AlternativeNote, GapDocument, TestNote};
+use crate::core::gap::document::GapDocument;
 use crate::core::gap::enough::EnoughNote;
-use crate::core::gap::types::Compared;
+use crate::core::gap::types::{Alternative, Compared, NextTest};
 use crate::core::gap::valve_note::ValveNote;
 use crate::core::verdict::ValvePosition;
 
@@ -169,7 +169,7 @@ fn what_is_named_beside_the_cause_is_said_with_its_own_figures() {
     let mut d: GapDocument = serde_json::from_str(include_str!("../../../tests/golden/gap-backlash.json")).unwrap();
     assert!(!answer(&d).contains("with ") && !paragraph(&d).contains("too (p"), "nothing is");
     "hold_compression".clone_into(&mut d.cause.id);
-    let beside = |id: &str| Some(AlternativeNote { id: id.to_owned(), probability: 0.8 });
+    let beside = |id: &str| Some(Alternative { id: id.to_owned(), probability: 0.8 });
     d.second_cause = beside("gain_drift");
     d.effects.iter_mut().find(|e| e.id == "gain_drift").unwrap().closed_pct = Some(42.0);
     assert!(answer(&d).ends_with(", with gain_drift"), "{}", answer(&d));
@@ -250,7 +250,7 @@ fn what_is_recorded_is_said_and_not_asked_for() {
 fn a_test_says_what_it_costs_and_the_valves_own_cycle_is_not_external() {
     let mut d = backlash();
     d.good_enough = None;
-    d.next_test = Some(TestNote {
+    d.next_test = Some(NextTest {
         signal: "op".to_owned(),
         size: 1.64,
         duration_s: 26.0,

@@ -147,8 +147,8 @@ impl BudgetNote {
             confirmed: None,
             events: Vec::new(),
         };
-        let recorded = |s: &&Signature| s.met && effects::by_id(s.id).is_some_and(|e| e.recorder.is_some());
-        let recorder: Vec<String> = signatures.iter().filter(recorded).map(|s| s.id.to_owned()).collect();
+        let recorded = |s: &&Signature| s.met && effects::by_id(&s.id).is_some_and(|e| e.recorder.is_some());
+        let recorder: Vec<String> = signatures.iter().filter(recorded).map(|s| s.id.clone()).collect();
         // What a recorder drew or held between two values may look like anything.
         let sure = recorder.is_empty();
         let named = budget.named();

@@ -120,20 +120,6 @@ pub struct SlipCount {
     pub extra: Option<u64>,
 }
 
-/// A trace of an effect in the data itself.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Trace {
-    /// The effect that it indicates.
-    pub id: String,
-    /// Measured value.
-    pub value: f64,
-    /// Threshold of the value.
-    pub threshold: f64,
-    /// Whether the threshold is reached.
-    pub met: bool,
-}
-
 /// What the record offers to learn from.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -231,7 +217,7 @@ pub struct Location {
     /// The course of its power.
     pub trend: Course,
     /// Traces in the data.
-    pub signatures: Vec<Trace>,
+    pub signatures: Vec<Signature>,
     /// What the record offers.
     pub excitation: Excitation,
     /// OP to valve position, where that is recorded.
@@ -309,7 +295,7 @@ pub(crate) fn locate(record: &Record, subject: &Subject<'_>) -> Location {
         slips: cycle::slips(&held, record.mv.as_deref(), subject.noise_floor),
         onset_s: trend.onset_s,
         trend,
-        signatures: subject.signatures.iter().map(trace).collect(),
+        signatures: subject.signatures.to_vec(),
         excitation: excitation::excitation(&held, record),
         op_to_mv: subject.stages.map(|s| OpToMv { unexplained_pct: s.op_to_mv }),
         mv_to_pv: subject.stages.map(|s| MvToPv { gap: s.mv_to_pv, relative: relative(s.mv_to_pv) }),
@@ -321,9 +307,4 @@ pub(crate) fn locate(record: &Record, subject: &Subject<'_>) -> Location {
         },
         points: held.points.len() as u64,
     }
-}
-
-fn trace(signature: &Signature) -> Trace {
-    let Signature { id, value, threshold, met, .. } = signature;
-    Trace { id: (*id).to_owned(), value: *value, threshold: *threshold, met: *met }
 }
