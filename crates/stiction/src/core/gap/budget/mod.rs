@@ -7,7 +7,7 @@
 //! both halves confirm the load of another loop.
 
 pub mod document;
-mod halves;
+pub(super) mod halves;
 pub(crate) mod parts;
 mod scan;
 pub mod search;

@@ -1,12 +1,11 @@
 //! Which place, onset or frequency of an effect is worth a fit: its columns, as the noise model sees them and less what the
 //! fit has already, against the innovations.
 
-use core::f64::consts::TAU;
 use std::sync::Arc;
 
+use super::search::is_same;
 use super::series::Series;
-use super::shapes::{APART, Shape};
-use crate::core::gap::effects::columns;
+use super::shapes::Shape;
 use crate::core::gap::neighbour::Load;
 use crate::core::gap::noise::arx::{Fit, START, whitened};
 use crate::core::gap::noise::least_squares::{Orthonormal, taken};
@@ -71,21 +70,32 @@ impl<'f> Scan<'f> {
         Self { fit, n, known, score }
     }
 
-    /// Twice the log likelihood that whitened columns would gain, which begin at [`START`].
-    fn gain_of(&self, columns: impl IntoIterator<Item = Vec<f64>>) -> f64 {
-        self.known.beyond(columns).power_of(&self.score)
+    /// Twice the log likelihood that a shape would gain which does not hang on what drives the process.
+    fn gain_of(&self, shape: &Shape) -> f64 {
+        let columns = shape.columns(self.n, &[]);
+        let seen = columns.iter().map(|column| whitened(&self.fit.a, column).split_off(START));
+        self.known.beyond(seen).power_of(&self.score)
     }
 
-    /// The same for a column of all points as it is.
-    fn gain_whitened(&self, column: &[f64]) -> f64 {
-        self.gain_of([whitened(&self.fit.a, column).split_off(START)])
+    /// The `most` most promising shapes, each `apart` from those before.
+    fn best(
+        &self,
+        shapes: impl Iterator<Item = Shape>,
+        most: usize,
+        apart: impl Fn(&Shape, &Shape) -> bool,
+    ) -> Vec<Shape> {
+        best(shapes.map(|shape| (self.gain_of(&shape), shape)).collect(), most, apart)
     }
 
-    /// A column less what the fit's columns make of it.
+    /// The size from which a column gains so many nats in the mean, the noise model left as it is and the innovations taken as
+    /// Gaussian near 0: what shows in a few points alone needs more.
     #[must_use]
-    pub(crate) fn new_part(&self, mut x: Vec<f64>) -> Vec<f64> {
-        self.known.take_out(&mut x);
-        x
+    pub(crate) fn shown(&self, column: &[f64], nats: f64) -> f64 {
+        let mut seen = whitened(&self.fit.a, column).split_off(START);
+        self.known.take_out(&mut seen);
+        let student = &self.fit.student;
+        student.scale
+            * (2.0 * nats * (student.freedom + 3.0) / (student.freedom + 1.0) / stats::dot(&seen, &seen)).sqrt()
     }
 
     /// Onsets at which a step is looked for.
@@ -166,24 +176,15 @@ impl<'f> Scan<'f> {
             }
         }
         let apart =
-            |(at, length): (usize, usize), (other, long): (usize, usize)| at + length < other || other + long < at;
+            |(at, length): &(usize, usize), (other, long): &(usize, usize)| at + length < *other || other + long < *at;
         best(found, most, apart).into_iter().map(|(at, length)| Shape::Pulse(at, length)).collect()
-    }
-
-    /// Onsets of a ramp.
-    fn ramp_onsets(&self) -> Vec<usize> {
-        let at = |i: usize| (self.n as f64 * LAST_RAMP * i as f64 / (RAMPS - 1) as f64) as usize;
-        (0..RAMPS).map(at).collect()
     }
 
     /// The most promising `most` ramps.
     #[must_use]
     pub(crate) fn ramps(&self, most: usize) -> Vec<Shape> {
-        let score = |from: usize| (self.gain_whitened(&Shape::Ramp(from).columns(self.n, &[])[0]), from);
-        best(self.ramp_onsets().into_iter().map(score).collect(), most, |_, _| true)
-            .into_iter()
-            .map(Shape::Ramp)
-            .collect()
+        let at = |i: usize| (self.n as f64 * LAST_RAMP * i as f64 / (RAMPS - 1) as f64) as usize;
+        self.best((0..RAMPS).map(|i| Shape::Ramp(at(i))), most, |_, _| true)
     }
 
     /// Frequencies at which a sinusoid is looked for, cycles a point.
@@ -202,28 +203,21 @@ impl<'f> Scan<'f> {
         out
     }
 
-    /// The most promising `most` sinusoids. A is linear, so that it leaves the plane of sine and cosine as it is.
+    /// The most promising `most` sinusoids.
     #[must_use]
     pub(crate) fn sinusoids(&self, frequencies: &[f64], most: usize) -> Vec<Shape> {
-        let gain =
-            |frequency: f64| self.gain_of(columns::waves(TAU * frequency, self.n).map(|mut x| x.split_off(START)));
-        let found = frequencies.iter().map(|f| (gain(*f), *f)).collect();
-        let apart = |x: f64, y: f64| (x - y).abs() > APART / self.n as f64;
-        best(found, most, apart).into_iter().map(Shape::Sinusoid).collect()
+        let apart = |x: &Shape, y: &Shape| !is_same(x, y, self.n);
+        self.best(frequencies.iter().map(|f| Shape::Sinusoid(*f)), most, apart)
     }
 
     /// The most promising `most` places of each load, no sooner than a point behind it.
     #[must_use]
     pub(crate) fn neighbours(&self, series: &Series, most: usize) -> Vec<Shape> {
         let dead_time = |i: usize| LAST_DEAD_TIME * series.period * i as f64 / (DEAD_TIMES - 1) as f64;
-        let places: Vec<[f64; 2]> = LAGS
-            .iter()
-            .flat_map(|lag| (0..DEAD_TIMES).map(move |i| [lag * series.period, dead_time(i).max(1.0)]))
-            .collect();
+        let places =
+            || LAGS.iter().flat_map(|lag| (0..DEAD_TIMES).map(move |i| [lag * series.period, dead_time(i).max(1.0)]));
         let of_load = |load: &Arc<Load>| {
-            let score = |place: &[f64; 2]| (self.gain_whitened(&load.behind(place[0], place[1], self.n)), *place);
-            let found = best(places.iter().map(score).collect(), most, |_, _| true);
-            found.into_iter().map(|place| Shape::Neighbour(Arc::clone(load), place)).collect::<Vec<_>>()
+            self.best(places().map(|place| Shape::Neighbour(Arc::clone(load), place)), most, |_, _| true)
         };
         series.loads.iter().flat_map(of_load).collect()
     }
@@ -272,11 +266,11 @@ fn tail_sums(x: &[f64]) -> Vec<f64> {
 }
 
 /// The `most` values of the largest gain, each `apart` from those before.
-fn best<T: Copy>(mut found: Vec<(f64, T)>, most: usize, apart: impl Fn(T, T) -> bool) -> Vec<T> {
+fn best<T>(mut found: Vec<(f64, T)>, most: usize, apart: impl Fn(&T, &T) -> bool) -> Vec<T> {
     found.sort_by(|x, y| y.0.total_cmp(&x.0));
     let mut out: Vec<T> = Vec::new();
     for (_, value) in found {
-        if out.len() < most && out.iter().all(|other| apart(*other, value)) {
+        if out.len() < most && out.iter().all(|other| apart(other, &value)) {
             out.push(value);
         }
     }
@@ -305,15 +299,23 @@ mod tests {
         let series = Series::of(&Record::uniform(1.0, op, pv), &known).unwrap();
         let fit = series.driven_by(Some(&series.op)).fit(4, &[], None).unwrap();
         let scan = Scan::new(&fit, 500);
-        let long = |onset: usize| scan.gain_whitened(&Shape::Step(onset).columns(500, &[])[0]);
+        let long = |onset: usize| scan.gain_of(&Shape::Step(onset));
         let best = scan.onsets().max_by(|x, y| long(*x).total_cmp(&long(*y))).unwrap();
         assert_eq!(scan.steps(1), [Shape::Step(best)]);
         assert!(best.abs_diff(300) <= 2, "{best}");
-        let long = |at: usize, length: usize| scan.gain_whitened(&Shape::Pulse(at, length).columns(500, &[])[0]);
+        let long = |at: usize, length: usize| scan.gain_of(&Shape::Pulse(at, length));
         let all = scan.onsets().flat_map(|at| (3..=50).map(move |length| (at, length))).filter(|(at, l)| at + l < 500);
         let best = all.max_by(|x, y| long(x.0, x.1).total_cmp(&long(y.0, y.1))).unwrap();
         assert_eq!(scan.pulses(1), [Shape::Pulse(best.0, best.1)]);
-        let new = scan.new_part(whitened(&fit.a, &Shape::Step(300).columns(500, &[])[0]).split_off(START));
-        assert!(fit.columns.iter().all(|c| stats::dot(c, &new).abs() < 1e-4 * stats::dot(c, c).sqrt()));
+        // Small steps gain what is asked in the mean over their onsets and signs.
+        let gained = |onset: usize| {
+            let step = &Shape::Step(onset).columns(500, &[])[0];
+            let (size, mut seen) = (scan.shown(step, 0.5), whitened(&fit.a, step).split_off(START));
+            scan.known.take_out(&mut seen);
+            let loss = |size: f64| fit.student.loss(fit.e.iter().zip(&seen).map(|(e, x)| e + size * x));
+            0.5 * (loss(size) + loss(-size)) - loss(0.0)
+        };
+        let gains: Vec<f64> = (50..290).step_by(4).map(gained).collect();
+        assert!((stats::mean(&gains) / 0.5 - 1.0).abs() < 0.4, "{gains:?}");
     }
 }

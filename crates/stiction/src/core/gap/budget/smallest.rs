@@ -5,19 +5,16 @@ use super::scan::Scan;
 use super::search::{LEAST_GAIN, Model, Searched, is_same, search};
 use super::series::Series;
 use super::shapes::{APART, Shape};
-use crate::core::gap::noise::arx::{START, whitened};
+use crate::core::signal::stats;
 
 /// Onsets at which the innovations of a step are asked, and the part of them at which it must show.
 const ONSETS: usize = 20;
 const SEEN: f64 = 0.9;
-/// Sizes between which innovations show an effect, standard deviations of PV, and halvings of that range's ratio.
-const SIZES: [f64; 2] = [1e-3, 20.0];
-const HALVINGS: usize = 12;
 /// Parts of the record at which a step is put into PV.
 const PLACES: [f64; 3] = [0.2, 0.5, 0.8];
 /// Factor by which an effect grows until the search names it, and how often it grows at most.
 const GROWTH: f64 = 1.25;
-const MOST_GROWN: usize = 10;
+const MOST_GROWN: usize = 15;
 /// Factor on what these trials find. They keep the base as it is, and a new diagnosis lets it take part of the effect. Chosen on
 /// every second real recording.
 const MARGIN: f64 = 1.3;
@@ -29,23 +26,6 @@ const ONSET_MISSED: usize = 10;
 /// Cycles in the record of the sinusoid.
 const CYCLES: f64 = 4.5;
 
-/// The least size for which a rule holds, by halving; `None` where it does not hold at the largest.
-fn least(range: [f64; 2], halvings: usize, holds: impl Fn(f64) -> bool) -> Option<f64> {
-    let [mut low, mut high] = range.map(libm::log);
-    if !holds(range[1]) {
-        return None;
-    }
-    for _ in 0..halvings {
-        let middle = 0.5 * (low + high);
-        if holds(libm::exp(middle)) {
-            high = middle;
-        } else {
-            low = middle;
-        }
-    }
-    Some(libm::exp(high))
-}
-
 /// A record into which effects are put.
 struct Trial<'r> {
     series: &'r Series,
@@ -56,15 +36,6 @@ struct Trial<'r> {
 impl<'r> Trial<'r> {
     fn new(series: &'r Series, searched: &'r Searched) -> Self {
         Self { series, searched, scan: Scan::new(&searched.fit, series.n()) }
-    }
-
-    /// The least size of a column whose innovations cost that much, nats, the noise model left as it is.
-    fn shown(&self, column: &[f64], cost: f64) -> Option<f64> {
-        let fit = &self.searched.fit;
-        let before = fit.student.loss(fit.e.iter().copied());
-        let seen = self.scan.new_part(whitened(&fit.a, column).split_off(START));
-        let gain = |size: f64| fit.student.loss(fit.e.iter().zip(&seen).map(|(e, x)| e + size * x)) - before;
-        least(SIZES, HALVINGS, |size| gain(size) >= cost)
     }
 
     /// Whether the search names a shape of which `size` times a column is put into PV; also where it names that as it is.
@@ -104,11 +75,9 @@ pub(crate) fn step(series: &Series, model: &Model, searched: &Searched) -> Optio
     let column = |at: usize| model.columns(&Shape::Step(at)).remove(0);
     let shown = |i: usize| {
         let at = onsets.start + (onsets.len() - 1) * (2 * i + 1) / (2 * ONSETS);
-        trial.shown(&column(at), cost).unwrap_or(f64::INFINITY)
+        trial.scan.shown(&column(at), cost)
     };
-    let mut sizes: Vec<f64> = (0..ONSETS).map(shown).collect();
-    sizes.sort_by(f64::total_cmp);
-    let from = Some(sizes[(SEEN * ONSETS as f64) as usize - 1]).filter(|size| size.is_finite())?;
+    let from = stats::quantile(&(0..ONSETS).map(shown).collect::<Vec<f64>>(), SEEN);
     let at = |place: &f64| (place * n as f64) as usize;
     let shapes: Vec<_> = PLACES.iter().map(|place| (Shape::Step(at(place)), column(at(place)))).collect();
     trial.named(&shapes, from)
@@ -130,8 +99,7 @@ pub(crate) fn sinusoid(series: &Series, model: &Model, searched: &Searched) -> O
     let cost = shape.cost(n, frequencies.len()) + LEAST_GAIN;
     // Sine and cosine: the phase must not matter.
     let shapes: Vec<_> = model.columns(&shape).into_iter().map(|wave| (shape.clone(), wave)).collect();
-    let from = shapes.iter().map(|(_, wave)| trial.shown(wave, cost)).collect::<Option<Vec<f64>>>()?;
-    let from = from.into_iter().fold(0.0, f64::max);
+    let from = shapes.iter().map(|(_, wave)| trial.scan.shown(wave, cost)).fold(0.0, f64::max);
     trial.named(&shapes, from).map(|size| (size, frequency))
 }
 
