@@ -5,17 +5,16 @@
 //! place is one effect: it has the free run's size, and is confirmed only where both agree.
 
 use super::budget::document::{BudgetNote, DISTURBANCE, NOT_SPLIT, PartNote, UPSETS, VALVE_AND_PROCESS};
+use super::budget::halves::MOST_RATIO;
 use super::document::EffectNote;
 use super::effects::{sinusoid, static_nonlinearity, step_load, stiction};
 use super::set_point::{self, Move};
-use super::weigh::LITTLE;
+use super::types::LITTLE_PCT;
 
 /// Difference of periods, as a share, up to which a wave is the valve's own cycle, and two waves are one.
 const SAME_PERIOD: f64 = 0.15;
 /// How far apart two instants are that are one, a share of the record, beside the time in which PV answers.
 const SAME_TIME: f64 = 0.02;
-/// Ratio of two sizes of one effect from which they contradict each other.
-const MOST_RATIO: f64 = 3.0;
 /// Largest change of a gain with each OP unit, as a share of it, that a plant may have.
 pub(super) const MOST_CHANGE_PER_OP: f64 = 1.0;
 
@@ -66,7 +65,7 @@ impl Known<'_> {
     /// An effect that the free run has in the same place takes its sizes.
     fn resize(&self, part: &mut PartNote) {
         let id = if part.id == UPSETS { step_load::EFFECT.id } else { &part.id };
-        let counts = |e: &&EffectNote| e.id == id && e.closed_pct.is_some_and(|closed| closed >= LITTLE);
+        let counts = |e: &&EffectNote| e.id == id && e.closed_pct.is_some_and(|closed| closed >= LITTLE_PCT);
         if let Some(effect) = self.effects.iter().find(counts) {
             let of_effect = |name: &str| effect.parameters.get(name).map(|q| q.value);
             if part.id == UPSETS {
@@ -118,8 +117,7 @@ impl Known<'_> {
             let home = [VALVE_AND_PROCESS, NOT_SPLIT, DISTURBANCE];
             let at = home.iter().find_map(|id| kept.iter().position(|p| p.id == *id));
             if let Some(part) = at.and_then(|at| kept.get_mut(at)) {
-                part.share_pct += wave.share_pct;
-                part.sd = libm::hypot(part.sd, wave.sd);
+                part.take_over(wave.share_pct, wave.sd);
             } else {
                 kept.push(wave);
             }
@@ -140,21 +138,10 @@ impl Known<'_> {
         let sd = whole.sd * (moved / whole.share_pct).sqrt();
         whole.sd *= (left / whole.share_pct).max(0.0).sqrt();
         whole.share_pct = left;
-        if let Some(own) = parts.iter_mut().find(|p| p.id == stiction::EFFECT.id) {
-            own.share_pct += moved;
-            own.sd = libm::hypot(own.sd, sd);
-            return;
+        match parts.iter_mut().find(|p| p.id == stiction::EFFECT.id) {
+            Some(own) => own.take_over(moved, sd),
+            None => parts.insert(from + 1, PartNote::plain(stiction::EFFECT.id, moved, sd)),
         }
-        let row = PartNote {
-            id: stiction::EFFECT.id.to_owned(),
-            share_pct: moved,
-            sd,
-            parameters: std::collections::BTreeMap::new(),
-            gain_nats: None,
-            confirmed: None,
-            events: Vec::new(),
-        };
-        parts.insert(from + 1, row);
     }
 }
 

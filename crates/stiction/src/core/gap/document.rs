@@ -19,7 +19,6 @@ use super::types::{
     Alternative, Base, Cause, Compared, Fit, Forward, FromSp, GapOptions, NONE, NextTest, SearchNote, Stage, UNKNOWN,
 };
 use super::valve_note::ValveNote;
-use super::weigh::LITTLE;
 use crate::core::record::Record;
 use crate::core::signal::stats;
 use crate::core::units::Moment;
@@ -27,9 +26,6 @@ use crate::core::verdict::Assessment;
 
 /// Schema name of a diagnosis.
 pub const GAP_SCHEMA: &str = "stictiond.gap.v1";
-
-/// Per cent of the gap below which an effect closes next to nothing.
-pub(crate) const LITTLE_PCT: f64 = LITTLE;
 
 /// Time range of the diagnosis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -108,7 +104,7 @@ impl CauseNote {
     fn of(diagnosis: &Diagnosis, told: Option<&TellableNote>) -> Self {
         let Cause { id, probability, confirmed, .. } = &diagnosis.cause;
         let note = Self { id: id.clone(), probability: *probability, confirmed: *confirmed, why: None };
-        let leads = diagnosis.named().is_none_or(|e| e.closed_pct.is_none_or(|closed| closed >= LITTLE));
+        let leads = diagnosis.named().is_none_or(EffectNote::leads);
         let is_judged = !diagnosis.is_worse_than_mean();
         let why = told.and_then(|told| note.why_by(told, leads, is_judged)).map(str::to_owned);
         Self { why, ..note }
@@ -309,7 +305,7 @@ impl GapDocument {
 
     /// The named effect, unless it closes next to nothing: then it is a side note.
     pub(crate) fn leading(&self) -> Option<&EffectNote> {
-        self.named().filter(|e| e.closed_pct.is_none_or(|closed| closed >= LITTLE))
+        self.named().filter(|e| e.leads())
     }
 
     /// The named effect, unless the answer is `none` or `unknown`.
@@ -337,7 +333,7 @@ fn held_against<'a>(
         sp_moves,
         point_s: record.point_s(),
         record_s: record.len() as f64 * record.point_s(),
-        answer_s: base.dead_time_s + base.time_constants_s.iter().sum::<f64>(),
+        answer_s: base.model.process.answer_s(),
     }
 }
 

@@ -7,12 +7,10 @@ use super::plain::PlainPass;
 use super::problem::Problem;
 use super::search::Search;
 use super::structure::Structure;
-use super::types::{Fit, Parameter, Slip};
+use super::types::{AT_FLOOR, Fit, Parameter, Slip};
 use crate::core::sim::process::separated;
 use crate::core::sim::slips::Law;
 
-/// Training error over the floor up to which a fit counts as having reached it.
-pub(crate) const AT_FLOOR: f64 = 1.05;
 /// Steps from the fitted fd to that of the slips.
 const STEPS: i32 = 8;
 
@@ -178,8 +176,6 @@ impl Fit {
         Self {
             id,
             slips: if has_friction { slips(&valve, 1e-6 * problem.normalised.span) } else { Vec::new() },
-            dead_time_s: model.process.dead_time_s,
-            time_constants_s: model.process.time_constants_s.clone(),
             model,
             valve,
             prediction,

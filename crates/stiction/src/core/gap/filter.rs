@@ -5,7 +5,7 @@
 //! fitted to that, and lag and colour agree where the filter explains PV one step ahead as well as any model with a memory of its own.
 
 use super::express::fit;
-use super::noise;
+use super::noise::{self, least_squares::solve};
 use super::problem::Problem;
 use super::schedule::{self, Found, Work, residual_of};
 use super::search::Search;
@@ -185,7 +185,7 @@ impl Undone {
         let over_floor = base.rmse_train / floor;
         let (_, _, r1) = noise::memory(&residual_of(&self.problem, search)?, &self.problem.train)?;
         let mut model = base.model.clone();
-        model.process.time_constants_s = with_lag(&base.time_constants_s, lag_s);
+        model.process.time_constants_s = with_lag(&base.model.process.time_constants_s, lag_s);
         let id = super::effects::sensor_filter::EFFECT.id.to_owned();
         let fit = Fit {
             parameters: base.parameters + 1,
@@ -207,18 +207,12 @@ fn with_lag(own: &[f64], lag_s: f64) -> Vec<f64> {
 
 /// What the filter held when the record began, fitted to the training points.
 fn add_memory(problem: &Problem, pv: &[f64], prediction: &mut [f64], from: usize, a: f64) {
-    let decay = |k: usize| libm::exp(libm::log(a) * (k - from) as f64);
-    let points = problem.train.iter().flat_map(|[b, e]| *b..*e).filter(|k| *k >= from);
-    let (top, bottom) = points.fold((0.0, 0.0), |(top, bottom), k| {
-        let d = decay(k);
-        (top + d * (pv[k] - prediction[k]), bottom + d * d)
-    });
-    if bottom > 0.0 {
-        let size = top / bottom;
-        for (k, p) in prediction.iter_mut().enumerate().skip(from) {
-            *p += size * decay(k);
-        }
-    }
+    let decay: Vec<f64> = (0..pv.len()).map(|k| libm::exp(libm::log(a) * k.saturating_sub(from) as f64)).collect();
+    let points: Vec<usize> = problem.train.iter().flat_map(|[b, e]| *b..*e).filter(|k| *k >= from).collect();
+    let at = |of: &dyn Fn(usize) -> f64| points.iter().map(|k| of(*k)).collect::<Vec<f64>>();
+    let (left, column) = (at(&|k| pv[k] - prediction[k]), at(&|k| decay[k]));
+    let size = solve(&[column], &left, &vec![1.0; left.len()]).map_or(0.0, |found| found[0]);
+    prediction.iter_mut().zip(&decay).skip(from).for_each(|(p, d)| *p += size * d);
 }
 
 #[cfg(test)]

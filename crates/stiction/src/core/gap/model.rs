@@ -42,6 +42,12 @@ pub struct Process {
 }
 
 impl Process {
+    /// Time in which it answers a step: dead time and time constants, s.
+    #[must_use]
+    pub(crate) fn answer_s(&self) -> f64 {
+        self.dead_time_s + self.time_constants_s.iter().sum::<f64>()
+    }
+
     /// The same with times in points that are so many seconds apart.
     #[must_use]
     pub(crate) fn in_points(&self, point_s: f64) -> ProcessModel {

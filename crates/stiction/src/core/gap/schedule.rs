@@ -19,7 +19,7 @@ use super::search::{
 use super::settle::clamped;
 use super::slips::{Length, Places, frictionless, search_slips};
 use super::structure::Structure;
-use super::types::{Ended, Executor};
+use super::types::{AT_FLOOR, Ended, Executor};
 use crate::core::ident::class::Class;
 use crate::core::ident::random::{normal, seeded_rng};
 use crate::core::ident::residual;
@@ -50,8 +50,6 @@ const LOOK_AGAIN: u64 = 30_000;
 const CALM: f64 = 1.04;
 /// The same whatever colour the rest has.
 const SETTLED: f64 = 1.02;
-/// Error over the floor from which the effects are also looked for from their other starts.
-const EXPLAINED: f64 = 1.05;
 
 /// Work done, and who does it.
 pub struct Work<'c> {
@@ -242,7 +240,7 @@ fn is_settled(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
 
 /// Whether an effect leaves so little that the others need no more starts.
 fn is_explained(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
-    residual_of(problem, search).is_some_and(|left| reaches(problem, &left, floor, EXPLAINED))
+    residual_of(problem, search).is_some_and(|left| reaches(problem, &left, floor, AT_FLOOR))
 }
 
 /// Whether what is left is within a factor of the floor, white or not.

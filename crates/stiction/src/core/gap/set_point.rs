@@ -1,5 +1,6 @@
 //! Moves of the set point, found in one way for all who count them or hold a load against them.
 
+use super::model::Process;
 use crate::core::record::Record;
 use crate::core::signal::stats;
 
@@ -52,8 +53,8 @@ pub(crate) fn explains(moves: &[Move], (at, size): (f64, f64), answer: f64) -> b
 
 /// Points in which PV answers a move of the set point: the dead time and three time constants of a fitted process.
 #[must_use]
-pub(crate) fn answer_points(dead_time_s: f64, time_constants_s: &[f64], point_s: f64) -> f64 {
-    (dead_time_s + 3.0 * time_constants_s.iter().sum::<f64>()) / point_s + 2.0
+pub(crate) fn answer_points(process: &Process, point_s: f64) -> f64 {
+    (process.dead_time_s + 3.0 * process.time_constants_s.iter().sum::<f64>()) / point_s + 2.0
 }
 
 #[cfg(test)]

@@ -28,6 +28,12 @@ pub enum Base {
     Given(Box<Model>),
 }
 
+/// Per cent of the gap below which an effect makes next to nothing of it.
+pub(crate) const LITTLE_PCT: f64 = 10.0;
+
+/// Error over the floor up to which a fit has reached it.
+pub(crate) const AT_FLOOR: f64 = 1.05;
+
 /// Options of a diagnosis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GapOptions {
@@ -265,10 +271,6 @@ pub struct Fit {
     pub slips: Vec<Slip>,
     /// Free-run prediction at each point, PV units; valid from [`Blocks::from`].
     pub prediction: Vec<f64>,
-    /// Dead time, s.
-    pub dead_time_s: f64,
-    /// Time constants, s, largest first.
-    pub time_constants_s: Vec<f64>,
     /// Root mean squared error on the training blocks, PV units.
     pub rmse_train: f64,
     /// Root mean squared error on the held-out blocks, PV units.
@@ -395,6 +397,14 @@ pub struct EffectNote {
     /// run. Documents are without.
     #[serde(skip)]
     pub fit: Option<Fit>,
+}
+
+impl EffectNote {
+    /// Whether it closes more than next to nothing of the gap, or that is not known.
+    #[must_use]
+    pub(crate) fn leads(&self) -> bool {
+        self.closed_pct.is_none_or(|closed| closed >= LITTLE_PCT)
+    }
 }
 
 /// The answer.

@@ -1,5 +1,7 @@
 //! How far each effect closes the gap: held-out free run before and after, with an interval from its blocks.
 
+use std::collections::BTreeMap;
+
 use super::candidate::Candidate;
 use super::decide;
 use super::effects::{self, Effect, Rest};
@@ -11,17 +13,13 @@ use super::search::Search;
 use super::sizes::sized;
 use super::structure::Structure;
 use super::traces::Traces;
-use super::types::{EffectId, EffectNote, Fit, Floor, Stage};
+use super::types::{AT_FLOOR, EffectNote, Fit, Floor, Stage};
 use crate::core::signal::stats;
 use crate::core::sim::noise::Noise;
 
 /// Resamples of the held-out blocks, and the share that the interval holds.
 const RESAMPLES: usize = 400;
 const LEVEL: f64 = 0.9;
-/// Error of the base over the floor below which there is nothing to close.
-pub(super) const NOTHING_LEFT: f64 = 1.05;
-/// Per cent of the gap below which an effect makes next to nothing of it.
-pub(super) const LITTLE: f64 = 10.0;
 /// Fewest fitted points a parameter: with less an effect may meet them all and say nothing.
 const POINTS_A_PARAMETER: usize = 2;
 
@@ -84,21 +82,39 @@ impl Scales<'_> {
             id: structure.id_in(self.problem),
             stage,
             parameters: sized(&structure.id(), parameters),
-            gap_before: self.base.gap,
             gap_after: made.gap,
-            floor_after: None,
             closed_pct,
             closed_interval,
             evidence,
             lead,
-            confusable_with: names(first.confused_with),
-            separated_by: first.separated_by.to_owned(),
             at_floor: Some(made.at_floor),
-            own_cycle: false,
-            follows_set_point: false,
             simulated: true,
             fit: Some(made),
+            ..self.nothing_of(first)
         })
+    }
+
+    /// What is said of an effect that does nothing.
+    fn nothing_of(&self, effect: &Effect) -> EffectNote {
+        EffectNote {
+            id: effect.id.to_owned(),
+            stage: effect.stage,
+            parameters: BTreeMap::new(),
+            gap_before: self.base.gap,
+            gap_after: self.base.gap,
+            floor_after: None,
+            closed_pct: None,
+            closed_interval: None,
+            evidence: 0.0,
+            lead: -effects::MARGIN,
+            confusable_with: effect.confused_with.iter().map(|id| (*id).to_owned()).collect(),
+            separated_by: effect.separated_by.to_owned(),
+            at_floor: None,
+            own_cycle: false,
+            follows_set_point: false,
+            simulated: false,
+            fit: None,
+        }
     }
 
     /// A filter in the measurement.
@@ -119,7 +135,7 @@ impl Scales<'_> {
             lead: evidence - effect.margin,
             at_floor: Some(made.at_floor),
             fit: Some(made),
-            ..self.recorded(effect, None)
+            ..self.nothing_of(effect)
         }
     }
 
@@ -136,23 +152,15 @@ impl Scales<'_> {
         let [before, after] = self.gaps(&blocks);
         let (closed_pct, closed_interval) = made.as_ref().map_or((None, None), |_| self.closed_in(&blocks));
         EffectNote {
-            id: effect.id.to_owned(),
-            stage: effect.stage,
-            parameters: sized(effect.id, found.map(|s| s.parameters.clone()).unwrap_or_default()),
+            parameters: found.map(|s| sized(effect.id, s.parameters.clone())).unwrap_or_default(),
             gap_before: before,
             gap_after: after,
             floor_after,
             closed_pct,
             closed_interval,
-            evidence: 0.0,
             lead: if met { 0.0 } else { -effects::MARGIN },
-            confusable_with: names(effect.confused_with),
-            separated_by: effect.separated_by.to_owned(),
-            at_floor: None,
-            own_cycle: false,
-            follows_set_point: false,
-            simulated: false,
             fit: made,
+            ..self.nothing_of(effect)
         }
     }
 
@@ -170,7 +178,7 @@ impl Scales<'_> {
     fn closed_in(&self, blocks: &[[f64; 3]]) -> (Option<f64>, Option<[f64; 2]>) {
         let floor = self.floor.noise_floor;
         let [n, sse, _] = summed(blocks.iter());
-        let at_floor = floor.is_some_and(|f| (sse / n.max(1.0)).sqrt() < NOTHING_LEFT * f);
+        let at_floor = floor.is_some_and(|f| (sse / n.max(1.0)).sqrt() < AT_FLOOR * f);
         let share = |[before, after]: [f64; 2]| (before > 0.0).then(|| 100.0 * (1.0 - after / before));
         let Some(closed) = share(self.gaps(blocks)).filter(|_| !at_floor) else { return (None, None) };
         if blocks.len() < 3 {
@@ -205,10 +213,6 @@ impl Scales<'_> {
         out.retain(|b| b[0] > 0.0);
         out
     }
-}
-
-fn names(ids: &[EffectId]) -> Vec<String> {
-    ids.iter().map(|id| (*id).to_owned()).collect()
 }
 
 /// Whether a fit is what its effects' names say.

@@ -1,17 +1,16 @@
 //! How strongly an answer is put into words: one rule for all sentences, from the numbers beside them.
 
-use crate::core::gap::document::{EffectNote, GapDocument, LITTLE_PCT};
+use crate::core::gap::document::{EffectNote, GapDocument};
 use crate::core::gap::effects;
 use crate::core::gap::enough::STATED;
 use crate::core::gap::sizes::percent;
+use crate::core::gap::types::{AT_FLOOR, LITTLE_PCT};
 use crate::core::units::probability;
 
 /// Per cent closed from which an effect explains a gap.
 const EXPLAINS: f64 = 50.0;
 /// Per cent below which nothing is said to be closed.
 const NOTHING: f64 = 0.5;
-/// Error over the floor up to which nothing is left.
-const NOTHING_LEFT: f64 = 1.05;
 /// Gap over PV's deviation up to which the base explains most of a record.
 const MOST: f64 = 0.45;
 
@@ -81,7 +80,7 @@ pub(super) fn closed_forward(d: &GapDocument) -> Option<f64> {
 
 /// Whether the base leaves nothing but noise on held-out data.
 pub(super) fn nothing_left(d: &GapDocument) -> bool {
-    d.gap.noise_floor.is_some_and(|floor| d.gap.rmse < NOTHING_LEFT * floor)
+    d.gap.noise_floor.is_some_and(|floor| d.gap.rmse < AT_FLOOR * floor)
 }
 
 /// What the base does with a record, by what it leaves of it.

@@ -132,21 +132,28 @@ pub struct TellableNote {
     pub times_as_long: Option<f64>,
 }
 
+impl PartNote {
+    /// A part without parameters, by its share, %, and its standard deviation, PV units.
+    #[must_use]
+    pub(in crate::core::gap) fn plain(id: &str, share_pct: f64, sd: f64) -> Self {
+        let (gain_nats, confirmed) = (None, None);
+        Self { id: id.to_owned(), share_pct, sd, parameters: BTreeMap::new(), gain_nats, confirmed, events: Vec::new() }
+    }
+
+    /// Takes over so much of PV's variance, %, of a part of this standard deviation.
+    pub(in crate::core::gap) fn take_over(&mut self, share_pct: f64, sd: f64) {
+        self.share_pct += share_pct;
+        self.sd = libm::hypot(self.sd, sd);
+    }
+}
+
 impl BudgetNote {
     /// The note of a budget; `cause` has the sizes of the cause that a search named, and whether it is confirmed.
     #[must_use]
     pub(crate) fn of(budget: &Budget, signatures: &[Signature], cause: Option<(&Sizes, bool)>) -> Self {
         let series = &budget.series;
         let (split, deviation) = (&budget.split, series.of_pv[1]);
-        let plain = |id: &str, part: Part| PartNote {
-            id: id.to_owned(),
-            share_pct: 100.0 * part.share,
-            sd: part.size * deviation,
-            parameters: BTreeMap::new(),
-            gain_nats: None,
-            confirmed: None,
-            events: Vec::new(),
-        };
+        let plain = |id: &str, part: Part| PartNote::plain(id, 100.0 * part.share, part.size * deviation);
         let recorded = |s: &&Signature| s.met && effects::by_id(&s.id).is_some_and(|e| e.recorder.is_some());
         let recorder: Vec<String> = signatures.iter().filter(recorded).map(|s| s.id.clone()).collect();
         // What a recorder drew or held between two values may look like anything.
@@ -203,7 +210,7 @@ impl BudgetNote {
             point_s: series.point_s,
             from_s: series.time_s(0),
             parts,
-            no_split: split.no_split.map(|why| why.name().to_owned()),
+            no_split: split.no_split.map(str::to_owned),
             driven_by: budget.model.driven_by(series).to_owned(),
             order: budget.searched.fit.order() as u8,
             smallest: smallest.collect(),

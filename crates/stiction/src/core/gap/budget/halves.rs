@@ -10,9 +10,10 @@ use crate::core::gap::noise::arx::{Design, Fit, START};
 
 /// Nats that an effect of a given size gains at least where its noise model was fitted elsewhere.
 const LEAST_HELD_OUT: f64 = 3.0;
-/// Largest angle between a sinusoid's phases in the two halves, as its cosine, and the largest ratio of sizes.
+/// Largest angle between a sinusoid's phases in the two halves, as its cosine.
 const LEAST_COSINE: f64 = 0.5;
-const MOST_RATIO: f64 = 3.0;
+/// Ratio of two sizes of one effect from which they contradict each other.
+pub(in crate::core::gap) const MOST_RATIO: f64 = 3.0;
 
 /// A stretch of points, and its complement.
 #[derive(Debug, Clone, Copy)]

@@ -16,25 +16,10 @@ const TOGETHER: f64 = 0.5;
 /// Frequencies of the spectrum.
 const GRID: usize = 400;
 
-/// Why valve and process are not told from the disturbance.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NoSplit {
-    /// The fitted process runs away by itself.
-    Unstable,
-    /// Its part and the disturbance correlate.
-    Together,
-}
-
-impl NoSplit {
-    /// As documents have it.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unstable => "process_unstable",
-            Self::Together => "parts_correlate",
-        }
-    }
-}
+/// Why valve and process are not told from the disturbance: the fitted process runs away by itself, or its part and the
+/// disturbance correlate.
+const UNSTABLE: &str = "process_unstable";
+const CORRELATE: &str = "parts_correlate";
 
 /// A part.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,7 +45,7 @@ pub struct Split {
     /// Valve and process; `None` where they are not told from the disturbance.
     pub valve_and_process: Option<Part>,
     /// Why not.
-    pub no_split: Option<NoSplit>,
+    pub no_split: Option<&'static str>,
     /// What the driving model's effect explains beyond the base, each fitted for itself.
     pub cause: Option<Part>,
     /// Each part of [`Searched::parts`].
@@ -94,13 +79,13 @@ pub(crate) fn split(series: &Series, model: &Model, searched: &Searched, noise: 
     };
     let process = process.map(late);
     let mut rest = effects.iter().chain(&cause).fold(y.to_vec(), |rest, x| difference(&rest, x));
-    let mut no_split = process.is_none().then_some(NoSplit::Unstable);
+    let mut no_split = process.is_none().then_some(UNSTABLE);
     let mut valve_and_process = None;
     if let Some(x) = &process {
         let left = difference(&rest, x);
         let norm = stats::std_dev(x) * stats::std_dev(&left);
         if covariance(x, &left).abs() > TOGETHER * norm {
-            no_split = Some(NoSplit::Together);
+            no_split = Some(CORRELATE);
         } else {
             valve_and_process = Some(part(x));
             rest = left;

@@ -122,7 +122,7 @@ impl Series {
                 .collect(),
             answer: known.models.first().map_or(period * ANSWER / box_points as f64, |fit| {
                 let point_s = record.point_s() * box_points as f64;
-                set_point::answer_points(fit.dead_time_s, &fit.time_constants_s, point_s)
+                set_point::answer_points(&fit.model.process, point_s)
             }),
         };
         Some(series.with_loads(known.loads))

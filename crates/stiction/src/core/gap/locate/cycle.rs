@@ -2,6 +2,7 @@
 
 use super::held::Held;
 use super::{Direction, Phases, SlipCount, Test};
+use crate::core::gap::noise::least_squares::line;
 use crate::core::signal::stats;
 
 /// A step of the stem's error counts from this share of the median slip on, and from so many standard errors on.
@@ -38,8 +39,7 @@ impl Steps {
     /// Reads them from the model.
     pub(crate) fn of(held: &Held<'_>) -> Self {
         let n = held.residual.len();
-        let settle_s = held.fit.dead_time_s + held.fit.time_constants_s.iter().sum::<f64>();
-        let window = (settle_s / held.point_s).round().clamp(1.0, n.max(1) as f64) as usize;
+        let window = (held.fit.model.process.answer_s() / held.point_s).round().clamp(1.0, n.max(1) as f64) as usize;
         let moves = moves(held);
         let slides = sliding(&moves);
         let mut phase = vec![STUCK; n];
@@ -119,7 +119,7 @@ fn from_residual(held: &Held<'_>, noise_floor: Option<f64>) -> Option<StemError>
         from: held.from + 1,
         width: width as usize,
         step_sd: sd * (6.0 * slope * slope / (width * width) + 2.0 * level / width).sqrt(),
-        late: held.fit.dead_time_s / held.point_s,
+        late: process.dead_time_s / held.point_s,
     })
 }
 
@@ -127,8 +127,7 @@ fn from_residual(held: &Held<'_>, noise_floor: Option<f64>) -> Option<StemError>
 fn from_position(held: &Held<'_>, mv: &[f64]) -> Option<StemError> {
     let valve = &held.fit.valve;
     let (mx, my) = (stats::mean(valve), stats::mean(mv));
-    let along: f64 = valve.iter().zip(mv).map(|(v, m)| (v - mx) * (m - my)).sum();
-    let slope = along / valve.iter().map(|v| (v - mx) * (v - mx)).sum::<f64>();
+    let [slope, _] = line(valve, mv);
     let width = 2;
     (slope.is_normal() && mv.len() == valve.len()).then(|| StemError {
         error: valve.iter().zip(mv).map(|(v, m)| (m - my) / slope - (v - mx)).collect(),

@@ -84,28 +84,28 @@ impl<'a> Held<'a> {
         self.points.iter().map(|&k| self.residual[k] * self.residual[k]).collect()
     }
 
+    /// The group (below `count`) of each point, and how many points each has.
+    fn groups(&self, count: usize, group_of: impl Fn(usize) -> usize) -> (Vec<usize>, Vec<f64>) {
+        let groups: Vec<usize> = self.points.iter().map(|&k| group_of(k).min(count.saturating_sub(1))).collect();
+        let members = sums(&groups, &vec![1.0; groups.len()], count);
+        (groups, members)
+    }
+
     /// Cuts the squared residual by the group (below `count`) of each point.
     pub(crate) fn shares(&self, purpose: &str, count: usize, group_of: impl Fn(usize) -> usize) -> Shares {
-        let groups: Vec<usize> = self.points.iter().map(|&k| group_of(k).min(count.saturating_sub(1))).collect();
+        let (groups, members) = self.groups(count, group_of);
         let squares = self.squares();
         let whole: f64 = squares.iter().sum();
-        let total = groups.len() as f64;
-        let mut members = vec![0_usize; count];
-        groups.iter().for_each(|&g| members[g] += 1);
-        let expected: Vec<f64> = members.iter().map(|&m| if total > 0.0 { m as f64 / total } else { 0.0 }).collect();
-        let sums = |squares: &[f64]| {
-            let mut sums = vec![0.0; count];
-            groups.iter().zip(squares).for_each(|(&g, s)| sums[g] += s);
-            sums
-        };
+        let total = (groups.len() as f64).max(1.0);
+        let expected: Vec<f64> = members.iter().map(|m| m / total).collect();
         let is_some = whole.is_finite() && whole > 0.0;
-        let share = |(sum, m): (f64, &usize)| (is_some && *m > 0).then(|| sum / whole);
+        let share = |(sum, m): (f64, &f64)| (is_some && *m > 0.0).then(|| sum / whole);
         let uneven = |squares: &[f64]| {
-            let terms = sums(squares).into_iter().zip(&expected).filter(|(_, e)| **e > 0.0);
+            let terms = sums(&groups, squares, count).into_iter().zip(&expected).filter(|(_, e)| **e > 0.0);
             terms.map(|(sum, e)| (sum / whole - e) * (sum / whole - e) / e).sum::<f64>()
         };
         Shares {
-            share: sums(&squares).into_iter().zip(&members).map(share).collect(),
+            share: sums(&groups, &squares, count).into_iter().zip(&members).map(share).collect(),
             test: if is_some { self.test(purpose, &squares, uneven) } else { None },
             expected,
         }
@@ -113,19 +113,14 @@ impl<'a> Held<'a> {
 
     /// The share of variance that the means of groups explain (R2), tested.
     pub(crate) fn explained(&self, purpose: &str, count: usize, group_of: impl Fn(usize) -> usize) -> Option<Test> {
-        let groups: Vec<usize> = self.points.iter().map(|&k| group_of(k).min(count.saturating_sub(1))).collect();
-        let values = self.values();
-        let mut members = vec![0.0; count];
-        groups.iter().for_each(|&g| members[g] += 1.0);
+        let (groups, members) = self.groups(count, group_of);
         let r2 = |values: &[f64]| {
-            let mut sums = vec![0.0; count];
-            groups.iter().zip(values).for_each(|(&g, v)| sums[g] += v);
-            let m = stats::mean(values);
-            let squares = sums.iter().zip(&members).filter(|(_, n)| **n > 0.0).map(|(sum, n)| sum * sum / n);
-            let between = squares.sum::<f64>() - m * m * values.len() as f64;
-            between / (stats::variance(values) * values.len() as f64)
+            let (m, n) = (stats::mean(values), values.len() as f64);
+            let sums = sums(&groups, values, count);
+            let between: f64 = sums.iter().zip(&members).filter(|(_, n)| **n > 0.0).map(|(sum, n)| sum * sum / n).sum();
+            (between - m * m * n) / (stats::variance(values) * n)
         };
-        self.test(purpose, &values, r2)
+        self.test(purpose, &self.values(), r2)
     }
 
     /// Tests a statistic of values at the held points against the same after shuffling: blocks of one and a half
@@ -161,6 +156,13 @@ impl<'a> Held<'a> {
         let above = chance.iter().filter(|c| **c >= value).count();
         Some(Test { value, threshold: stats::quantile(&chance, 0.95), p: (1 + above) as f64 / (1 + SHUFFLES) as f64 })
     }
+}
+
+/// Sum of the values of each group.
+fn sums(groups: &[usize], values: &[f64], count: usize) -> Vec<f64> {
+    let mut sums = vec![0.0; count];
+    groups.iter().zip(values).for_each(|(&g, v)| sums[g] += v);
+    sums
 }
 
 /// The blocks of `values` in random order, each turned by a random number of points.

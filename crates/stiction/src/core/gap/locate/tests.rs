@@ -76,8 +76,6 @@ fn diagnosis(valve: Vec<f64>, prediction: Vec<f64>) -> Case {
         slips: slips(&valve),
         valve,
         prediction,
-        dead_time_s: DEAD * TS_S,
-        time_constants_s: vec![TAU * TS_S],
         rmse_train: 1.0,
         rmse: 1.0,
         gap: 1.0,

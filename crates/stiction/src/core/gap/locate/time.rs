@@ -2,6 +2,7 @@
 
 use super::held::Held;
 use super::{Course, Segment, Test};
+use crate::core::gap::noise::least_squares::line;
 use crate::core::signal::stats;
 
 /// Segments of the record.
@@ -53,14 +54,9 @@ fn best_change(powers: &[f64]) -> (usize, f64) {
     places.map(|at| (at, change_gain(powers, at))).fold((0, 0.0), |best, x| if x.1 > best.1 { x } else { best })
 }
 
-/// Correlation of the logarithm with time.
-fn trend_of(logs: &[f64]) -> f64 {
-    let middle = 0.5 * (logs.len() as f64 - 1.0);
-    let t: Vec<f64> = (0..logs.len()).map(|k| k as f64 - middle).collect();
-    let m = stats::mean(logs);
-    let e: Vec<f64> = logs.iter().map(|v| v - m).collect();
-    let scale = (stats::dot(&t, &t) * stats::dot(&e, &e)).sqrt();
-    if scale > 0.0 { stats::dot(&t, &e) / scale } else { 0.0 }
+/// Slope of the logarithm with time, and its correlation.
+fn trend_of(logs: &[f64]) -> [f64; 2] {
+    line(&(0..logs.len()).map(|k| k as f64).collect::<Vec<f64>>(), logs)
 }
 
 /// Change, trend and drift.
@@ -78,16 +74,13 @@ pub(super) fn course(held: &Held<'_>) -> Course {
     // The stretches are whole periods: they may change places one by one.
     let onset = held.test_singly("onset", &values, |x| best_change(x).1);
     let told = at > 0 && onset.is_some_and(|t| t.p < TOLD_P) && !(1.0 / TOLD_RATIO..=TOLD_RATIO).contains(&ratio);
-    let count = logs.len() as f64;
-    let middle = 0.5 * (count - 1.0);
-    let slope = logs.iter().enumerate().map(|(k, v)| (k as f64 - middle) * v).sum::<f64>()
-        / logs.iter().enumerate().map(|(k, _)| (k as f64 - middle) * (k as f64 - middle)).sum::<f64>();
     Course {
         onset_s: told.then(|| stretches[at].0 * held.point_s),
         onset_ratio: (at > 0).then_some(ratio),
         onset,
-        trend_ratio: Some(libm::exp(slope * (count - 1.0))),
-        trend: held.test_singly("trend", &logs, |x| trend_of(x).abs()),
+        trend_ratio: Some(libm::exp(trend_of(&logs)[0] * (logs.len() - 1) as f64)),
+        trend: held
+            .test_singly("trend", &logs, |x| Some(trend_of(x)[1].abs()).filter(|r| r.is_finite()).unwrap_or(0.0)),
         ..none
     }
 }
@@ -95,9 +88,6 @@ pub(super) fn course(held: &Held<'_>) -> Course {
 /// Rise of the residual over the record by a line through the held-out points, PV units.
 fn drift(held: &Held<'_>) -> Option<f64> {
     let t: Vec<f64> = held.points.iter().map(|&k| k as f64).collect();
-    let (mt, e) = (stats::mean(&t), held.values());
-    let spread: f64 = t.iter().map(|t| (t - mt) * (t - mt)).sum();
-    let slope = t.iter().zip(&e).map(|(t, e)| (t - mt) * e).sum::<f64>() / spread;
-    let rise = slope * (held.residual.len() - held.from) as f64;
+    let rise = line(&t, &held.values())[0] * (held.residual.len() - held.from) as f64;
     rise.is_finite().then_some(rise)
 }

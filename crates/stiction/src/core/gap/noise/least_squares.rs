@@ -41,6 +41,14 @@ pub(crate) fn left(columns: &[Vec<f64>], y: &[f64], coefficients: &[f64]) -> Vec
     e
 }
 
+/// Slope of the line through points, and their correlation; not a number where either does not move.
+#[must_use]
+pub(crate) fn line(x: &[f64], y: &[f64]) -> [f64; 2] {
+    let [x, y] = [x, y].map(|v| v.iter().map(|value| value - stats::mean(v)).collect::<Vec<f64>>());
+    let [xx, xy, yy] = [stats::dot(&x, &x), stats::dot(&x, &y), stats::dot(&y, &y)];
+    [xy / xx, xy / (xx * yy).sqrt()]
+}
+
 /// Columns at right angles, each of power 1.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Orthonormal(pub Vec<Vec<f64>>);
@@ -101,6 +109,14 @@ pub(crate) fn taken(power: f64, along: f64, known: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_line_has_its_slope() {
+        let [slope, correlation] = line(&[1.0, 2.0, 3.0], &[5.0, 3.0, 1.0]);
+        assert!(
+            (slope + 2.0).abs() < 1e-12 && (correlation + 1.0).abs() < 1e-12 && line(&[1.0; 3], &[1.0; 3])[0].is_nan()
+        );
+    }
 
     #[test]
     fn new_columns_explain_what_a_fit_with_all_of_them_does() {
