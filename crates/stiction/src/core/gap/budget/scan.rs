@@ -70,7 +70,7 @@ impl<'f> Scan<'f> {
         Self { fit, n, known, score }
     }
 
-    /// Twice the log likelihood that a shape would gain which does not hang on what drives the process.
+    /// Twice the log likelihood that a shape would gain; not for drift and bend, which scale the process's own part.
     fn gain_of(&self, shape: &Shape) -> f64 {
         let columns = shape.columns(self.n, &[]);
         let seen = columns.iter().map(|column| whitened(&self.fit.a, column).split_off(START));
@@ -87,8 +87,8 @@ impl<'f> Scan<'f> {
         best(shapes.map(|shape| (self.gain_of(&shape), shape)).collect(), most, apart)
     }
 
-    /// The size from which a column gains so many nats in the mean, the noise model left as it is and the innovations taken as
-    /// Gaussian near 0: what shows in a few points alone needs more.
+    /// Size at which a column is expected to gain this much log likelihood, by the Fisher information of Student's t: exact for
+    /// small sizes only, so an effect that shows at a few points needs a larger one.
     #[must_use]
     pub(crate) fn shown(&self, column: &[f64], nats: f64) -> f64 {
         let mut seen = whitened(&self.fit.a, column).split_off(START);

@@ -4,9 +4,9 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::core::signal::stats;
 
-/// What is added to the diagonal of the normal equations, of its own entry and of the largest.
+/// Ridge on the normal equations, relative to each diagonal entry and to the largest: columns may depend on each other.
 const RIDGE: [f64; 2] = [1e-9, 1e-15];
-/// Part of a column's power from which it says what others do not.
+/// A column whose remainder has less than this share of its power depends on the others.
 const NEW: f64 = 1e-9;
 
 /// Weighted least squares of `y` on `columns`; `None` where the equations have no solution.
@@ -49,7 +49,7 @@ pub(crate) fn line(x: &[f64], y: &[f64]) -> [f64; 2] {
     [xy / xx, xy / (xx * yy).sqrt()]
 }
 
-/// Columns at right angles, each of power 1.
+/// Orthonormal columns.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Orthonormal(pub Vec<Vec<f64>>);
 
@@ -65,7 +65,7 @@ impl Orthonormal {
         own
     }
 
-    /// What further columns have beyond these.
+    /// Further columns, made orthonormal to these and to each other.
     #[must_use]
     pub(crate) fn beyond(&self, columns: impl IntoIterator<Item = Vec<f64>>) -> Self {
         let mut new = Self::default();
@@ -83,7 +83,7 @@ impl Orthonormal {
         new
     }
 
-    /// Leaves of a column what these do not make of it.
+    /// Subtracts a column's projection on these.
     pub(crate) fn take_out(&self, x: &mut [f64]) {
         for q in &self.0 {
             let along = stats::dot(x, q);
@@ -91,15 +91,15 @@ impl Orthonormal {
         }
     }
 
-    /// Power that these take of a column.
+    /// Power of a column's projection on these.
     #[must_use]
     pub(crate) fn power_of(&self, x: &[f64]) -> f64 {
         self.0.iter().map(|q| stats::dot(q, x)).map(|along| along * along).sum()
     }
 }
 
-/// Power of an error that a column takes, by the column's power, its product with the error, and its power that columns at right
-/// angles to the error take.
+/// Squares of an error that a column explains, from the column's power, its product with the error, and the power of its
+/// projection on columns that the error is already orthogonal to.
 #[must_use]
 pub(crate) fn taken(power: f64, along: f64, known: f64) -> f64 {
     let new = power - known;
